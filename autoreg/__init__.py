@@ -1,0 +1,75 @@
+"""Align a camera to photographed paving, so that a computer-generated object can stand on it.
+
+`autoreg.align(photo, camera, slab=(0.6, 0.4))` is the library's one call. Names are loaded when they
+are first used: `import autoreg` costs nothing and does not import JAX.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module, metadata
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from autoreg.align import align as align
+    from autoreg.alignment import Alignment as Alignment
+    from autoreg.camera import Camera as Camera
+    from autoreg.errors import AutoregError as AutoregError
+    from autoreg.errors import InputError as InputError
+    from autoreg.errors import Refusal as Refusal
+    from autoreg.errors import RenderError as RenderError
+    from autoreg.geometry import Rigid as Rigid
+    from autoreg.lattice import Lattice as Lattice
+
+    __version__: str
+
+_HOMES = {
+    "Alignment": "autoreg.alignment",
+    "Camera": "autoreg.camera",
+    "AutoregError": "autoreg.errors",
+    "InputError": "autoreg.errors",
+    "Refusal": "autoreg.errors",
+    "RenderError": "autoreg.errors",
+    "Rigid": "autoreg.geometry",
+    "Lattice": "autoreg.lattice",
+}
+
+__all__ = [*_HOMES, "__version__", "align"]  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+class _CallableModule(ModuleType):
+    """`autoreg.align` is the pipeline's module and, called, its function of the same name."""
+
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        return self.align(*args, **options)
+
+
+class _Package(ModuleType):
+    """Makes the submodule `align` callable, whoever imports it first."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # The import system binds a submodule to its package through here.
+        if name == "align" and type(value) is ModuleType:
+            value.__class__ = _CallableModule
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
+
+
+def __getattr__(name: str) -> Any:
+    if name == "align":
+        return import_module("autoreg.align")
+    if name == "__version__":
+        try:
+            return metadata.version("autoreg")
+        except metadata.PackageNotFoundError:
+            return "unknown (not installed)"
+    if name in _HOMES:
+        return getattr(import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'autoreg' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

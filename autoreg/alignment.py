@@ -1,0 +1,72 @@
+"""What an aligned photo is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid
+from autoreg.lattice import Lattice
+
+
+@dataclass(frozen=True)
+class CameraReport:
+    """The camera that was used, where it came from, and what the photo's own joints say of it."""
+
+    camera: Camera
+    source: Literal["file", "exif", "photo"]
+    consistent: bool | None
+    focal_from_photo_px: float | None
+    focal_from_photo_sigma_px: float | None
+
+
+@dataclass(frozen=True)
+class Pose:
+    """`cam_from_ground` with the covariance of (rotation vector in radians, translation in metres).
+
+    The covariance is that of a small motion on the camera's side: R = exp(w) R_true, t = t_true + dt.
+    """
+
+    cam_from_ground: Rigid
+    covariance: Float[np.ndarray, "6 6"]
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How far the photographed joints lie from the fitted ones."""
+
+    rms_px: float
+    median_px: float
+    p95_px: float
+    joints: int
+    samples: int
+    inlier_fraction: float
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """One joint line that carried the fit: family "x" runs along X (its index counts along Y)."""
+
+    family: Literal["x", "y"]
+    index: int
+    ends_px: Float[np.ndarray, "2 2"]
+    rms_px: float
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """An aligned photo."""
+
+    width: int
+    height: int
+    camera: CameraReport
+    pose: Pose
+    scale_source: Literal["slab", "camera_height", "none"]
+    lattice: Lattice
+    residual: Residual
+    joints: tuple[JointFit, ...]
+    warnings: tuple[str, ...] = ()

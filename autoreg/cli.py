@@ -1,0 +1,233 @@
+"""The command line. Results go to files, `--json` to stdout, and everything for people to stderr."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from autoreg.errors import AutoregError, InputError
+from autoreg.options import parse_crop, parse_height, parse_slab
+
+if TYPE_CHECKING:
+    from autoreg.job import Job, Listener, Outcome
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Align a camera to photographed paving, so that a computer-generated object can stand on it.",
+)
+
+Engine = Literal["auto", "povray", "preview"]
+_FolderOption = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of results.")
+]
+
+
+@app.command("align")
+def align_command(
+    photo: Annotated[
+        Path, typer.Argument(metavar="PHOTO", help="The photo; put -- before a name that begins with -.")
+    ],
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Camera: own JSON, OpenCV or ROS YAML, COLMAP.")
+    ] = None,
+    crop: Annotated[
+        str | None, typer.Option(metavar="X,Y,W,H", help="Part of the calibrated frame that the photo shows.")
+    ] = None,
+    slab: Annotated[
+        str | None, typer.Option(metavar="AxB", help="Sides of a slab in metres, either order: 0.6x0.4.")
+    ] = None,
+    camera_height: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Camera's height above the ground.")
+    ] = None,
+    output: _FolderOption = None,
+    render: Annotated[
+        bool, typer.Option("--render", help="Also write render.png and composite.png.")
+    ] = False,
+    engine: Annotated[
+        Engine | None, typer.Option(help="What renders: auto is POV-Ray if installed, else the preview.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print alignment.json on stdout.")] = False,
+) -> None:
+    """Align the camera of PHOTO to the paving in it.
+
+    Writes alignment.json, overlay.png and scene.pov into DIR (by default the photo's name + .autoreg).
+    Exit codes: 0 aligned, 2 bad input, 3 refused, 4 render failed.
+    """
+    with _exit_codes():
+        if slab is not None and camera_height is not None:
+            raise InputError("--slab and --camera-height both give the scale; give one of them")
+        if crop is not None and camera is None:
+            raise InputError(
+                "--crop says how the photo was cut from the calibrated frame, so it needs --camera"
+            )
+        if engine is not None and not render:
+            raise InputError("--engine chooses what renders, so it needs --render")
+        from autoreg.job import Job
+
+        job = Job(
+            photo=photo,
+            folder=output if output is not None else Path(f"{photo.name}.autoreg"),
+            camera=camera,
+            crop=None if crop is None else parse_crop(crop),
+            slab=None if slab is None else parse_slab(slab),
+            camera_height=None if camera_height is None else parse_height(camera_height),
+            engine=(engine or "auto") if render else None,
+        )
+        _run(job, as_json=as_json)
+
+
+@app.command()
+def demo(output: _FolderOption = None) -> None:
+    """Align and render the picture that autoreg brings along; DIR is autoreg-demo by default."""
+    with _exit_codes():
+        from autoreg.job import demo_job
+
+        _run(demo_job(output or Path("autoreg-demo"), "auto"), as_json=False)
+
+
+@app.command()
+def doctor() -> None:
+    """Say which parts are installed, and try the whole on a small picture; exit code 0 if it works."""
+    with _exit_codes():
+        from autoreg.doctor import examine
+
+        if not examine(print):
+            raise typer.Exit(1)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        import autoreg
+
+        print(f"autoreg {autoreg.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options that stand before the command."""
+
+
+def main() -> None:
+    """Run the command line; it ends the process with the contract's exit codes."""
+    # Ctrl-C may come before a command has begun.
+    try:
+        app(prog_name="autoreg")
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def _exit_codes() -> Generator[None]:
+    """Foreseen failures become a message on stderr and an exit code."""
+    try:
+        yield
+    except AutoregError as error:
+        _tell(f"error: {error}")
+        raise typer.Exit(error.exit_code) from None
+    except OSError as error:
+        # The disk is full, a folder vanished, a file may not be read: the system's words say it best.
+        _tell(f"error: {error}")
+        raise typer.Exit(InputError.exit_code) from None
+    except KeyboardInterrupt:
+        _tell("interrupted; every file that was written is whole")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+def _run(job: Job, *, as_json: bool) -> None:
+    """Run a job, tell how it ended, and exit with its code."""
+    from autoreg.job import run_job
+    from autoreg.report import report_text
+
+    with _listener() as listener:
+        outcome = run_job(job, listener)
+    if as_json:
+        sys.stdout.write(report_text(outcome.report))
+    _tell_outcome(job, outcome)
+    failure = outcome.refusal or outcome.render_error
+    if failure is not None:
+        raise typer.Exit(failure.exit_code)
+
+
+def _tell_outcome(job: Job, outcome: Outcome) -> None:
+    refusal, alignment = outcome.refusal, outcome.alignment
+    if refusal is not None:
+        _tell(f"refused ({refusal.code}): {refusal.message}")
+        if refusal.measured is not None:
+            limit = "" if refusal.limit is None else f", limit {refusal.limit:.4g}"
+            _tell(f"  measured {refusal.measured:.4g}{limit}")
+    if alignment is not None:
+        for warning in alignment.warnings:
+            _tell(f"warning: {warning}")
+        camera = alignment.camera
+        if camera.consistent is False:
+            _tell_inconsistent(camera.camera.fx, camera.focal_from_photo_px, camera.focal_from_photo_sigma_px)
+        _tell(_summary(alignment))
+    for path in outcome.written:
+        _tell(f"wrote {path}")
+    if outcome.render_error is not None:
+        _tell(f"error: the render failed: {outcome.render_error}")
+
+
+def _tell_inconsistent(given_px: float, found_px: float | None, sigma_px: float | None) -> None:
+    """The loud word: a wrong camera gives a pose that looks fine and is not."""
+    found = "" if found_px is None else f" They ask for a focal length of {found_px:.0f} px"
+    found += "" if not found or sigma_px is None else f" (± {sigma_px:.0f})"
+    found += f"; the camera says {given_px:.0f} px." if found else ""
+    _tell("*" * 78)
+    _tell(f"WARNING: the photo's own joints contradict the given camera.{found}")
+    _tell("The pose below rests on that camera and is probably wrong. Check that the camera file belongs to")
+    _tell("this photo (same camera, zoom, focus and crop), or leave --camera out.")
+    _tell("*" * 78)
+
+
+def _summary(alignment: Any) -> str:
+    """One line: the paving, the camera's height, and how well they fit."""
+    lattice, residual = alignment.lattice, alignment.residual
+    known = alignment.scale_source != "none"
+    unit = " m" if known else " slab sides"
+    sides = [f"{side:.4g}" for side in (lattice.spacing_x, lattice.spacing_y) if side is not None]
+    height = float(alignment.pose.cam_from_ground.origin_in_a[2])
+    return (
+        f"aligned: {lattice.kind} of {' x '.join(sides)}{unit}, camera {height:.4g}{unit} above the ground, "
+        f"{residual.joints} joints at {residual.rms_px:.2f} px rms"
+    )
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+@contextmanager
+def _listener() -> Generator[Listener]:
+    """Steps as a spinner if stderr is a terminal, else none; notes always."""
+    from autoreg.job import Listener
+
+    if not sys.stderr.isatty():
+        yield Listener(note=lambda text: _tell(f"note: {text}"), doing=lambda text: None)
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    with console.status("") as status:
+        # As Text, because file names may hold what rich takes for markup.
+        yield Listener(
+            note=lambda text: console.print(Text(f"note: {text}"), soft_wrap=True),
+            doing=lambda text: status.update(Text(f"{text} ...")),
+        )

@@ -1,0 +1,171 @@
+"""Directions of parallel lines in the camera frame, and how well segments agree with them.
+
+A segment with ends e1, e2 and middle m (ideal normalised points, third coordinate 1) agrees with a direction
+d when the line from m to d's vanishing point passes through e1. Its signed distance from that line,
+r(d) = d . (e1 x m) / |d_xy - d_z m_xy|, is in units of the picture, finite for vanishing points at infinity,
+and has the noise of the segment's own ends.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from autoreg.camera import Camera
+from autoreg.segments import Segments
+
+# A segment supports a direction within this many standard deviations, with a weight that falls to zero there.
+CUTOFF_SIGMAS = 3.0
+# Joints are laid and walls are built with errors of direction of this size, whatever the picture's own noise.
+LAYING_SPREAD_RAD = 0.006
+
+
+@dataclass(frozen=True)
+class SegmentRays:
+    """Segments as ideal normalised points.
+
+    `moment` is e1 x m; `sigma` is the expected spread of r for a segment that agrees; `weight` is its length
+    in photo pixels.
+    """
+
+    ends: Float[np.ndarray, "n 2 3"]
+    middle: Float[np.ndarray, "n 3"]
+    moment: Float[np.ndarray, "n 3"]
+    half_length: Float[np.ndarray, " n"]
+    sigma: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    def take(self, index: np.ndarray) -> SegmentRays:
+        """The rays that an index array or a mask selects."""
+        return SegmentRays(
+            self.ends[index],
+            self.middle[index],
+            self.moment[index],
+            self.half_length[index],
+            self.sigma[index],
+            self.weight[index],
+        )
+
+    @property
+    def normal(self) -> Float[np.ndarray, "n 3"]:
+        """Unit normal of the plane through the camera centre and each segment."""
+        return self.moment / np.linalg.norm(self.moment, axis=1, keepdims=True)
+
+
+def segment_rays(segments: Segments, ideal_xy: Float[np.ndarray, "n 2 2"], focal_px: float) -> SegmentRays:
+    """Rays, longest first, of segments whose ends have been undistorted to ideal normalised points.
+
+    Segments without length, or outside the field where the lens model has an inverse (NaN), are left out.
+    """
+    usable = np.isfinite(ideal_xy).all((1, 2)) & (segments.length_px > 0)
+    order = np.argsort(-segments.length_px, kind="stable")
+    order = order[usable[order]]
+    segments, ideal_xy = segments.take(order), ideal_xy[order]
+    ends = np.concatenate([ideal_xy, np.ones((len(ideal_xy), 2, 1))], -1)
+    middle = ends.mean(1)
+    half = 0.5 * np.hypot(*(ideal_xy[:, 1] - ideal_xy[:, 0]).T)
+    sigma = np.hypot(segments.sigma_px / focal_px, LAYING_SPREAD_RAD * half)
+    return SegmentRays(ends, middle, np.cross(ends[:, 0], middle), half, sigma, segments.length_px)
+
+
+def camera_rays(segments: Segments, camera: Camera) -> SegmentRays:
+    """Rays of segments of a calibrated photo."""
+    ideal_xy = camera.normalise(segments.ends_px) if len(segments) else segments.ends_px
+    return segment_rays(segments, ideal_xy, float(np.sqrt(camera.fx * camera.fy)))
+
+
+def agreement(
+    rays: SegmentRays, dirs: Float[np.ndarray, "*k 3"], dtype: type = np.float64
+) -> Float[np.ndarray, "*k n"]:
+    """How well each segment agrees with each direction: 1 exactly, 0 from the cut-off on.
+
+    A segment that a vanishing point lies on (or nearly) agrees with none: a real line never reaches its own.
+    """
+    squared, denominator = squared_distance(rays, dirs.astype(dtype))
+    limit = (np.square(CUTOFF_SIGMAS * rays.sigma)).astype(dtype)
+    reach = np.square(1.1 * rays.half_length).astype(dtype)
+    kernel = 1.0 - squared / (denominator * limit)
+    kernel[(kernel < 0) | (denominator < reach * np.square(dirs[..., 2:]).astype(dtype))] = 0.0
+    return kernel
+
+
+def squared_distance(
+    rays: SegmentRays, dirs: Float[np.ndarray, "*k 3"]
+) -> tuple[Float[np.ndarray, "*k n"], Float[np.ndarray, "*k n"]]:
+    """Numerator and denominator of r squared (for unit directions), each by one matrix product."""
+    moment, middle = rays.moment.astype(dirs.dtype), rays.middle.astype(dirs.dtype)
+    x, y, z = dirs[..., 0], dirs[..., 1], dirs[..., 2]
+    quadric = np.stack([x * x + y * y, -2 * x * z, -2 * y * z, z * z], -1)
+    squares = np.stack(
+        [np.ones_like(middle[:, 0]), middle[:, 0], middle[:, 1], (middle[:, :2] ** 2).sum(1)], 0
+    )
+    tiny = np.finfo(dirs.dtype).tiny
+    return np.square(dirs @ moment.T), np.maximum(quadric @ squares, tiny)
+
+
+def single_directions(
+    rays: SegmentRays, seeds: np.ndarray, *, count: int, apart_rad: float
+) -> Float[np.ndarray, "k 3"]:
+    """Up to `count` directions with the most support, best first, at least `apart_rad` from each other.
+
+    Every pair of the seed segments proposes the direction that both share; all rays vote on each.
+    """
+    normal = rays.normal[seeds]
+    i, j = np.triu_indices(len(seeds), 1)
+    dirs = np.cross(normal[i], normal[j])
+    norm = np.linalg.norm(dirs, axis=1)
+    dirs = dirs[norm > 1e-4] / norm[norm > 1e-4, None]
+    if not len(dirs):
+        return np.zeros((0, 3))
+    support = agreement(rays, dirs, np.float32) @ rays.weight.astype(np.float32)
+    peaks = refine_directions(rays, dirs[_peaks(dirs, support, 4 * count, apart_rad)])
+    return peaks[_varied(agreement(rays, peaks) * rays.weight, count)]
+
+
+def _peaks(
+    dirs: Float[np.ndarray, "n 3"], support: np.ndarray, count: int, apart_rad: float
+) -> Int[np.ndarray, " k"]:
+    """Index of the best supported directions that lie apart from all better ones."""
+    left, narrow = support.astype(np.float32), dirs.astype(np.float32)
+    kept: list[int] = []
+    for _ in range(min(count, len(dirs))):
+        best = int(np.argmax(left))
+        if left[best] <= 0:
+            break
+        kept.append(best)
+        left[np.abs(narrow @ narrow[best]) > np.cos(apart_rad)] = 0.0
+        left[best] = 0.0
+    return np.array(kept, int)
+
+
+def _varied(support: Float[np.ndarray, "k n"], count: int) -> Int[np.ndarray, " c"]:
+    """Index of rows chosen one by one for their sum, a segment counting less each time it has been used.
+
+    Otherwise the directions near to a strong one, which live on its segments, would crowd out weak ones.
+    """
+    kept: list[int] = []
+    worth = np.ones(support.shape[1])
+    for _ in range(min(count, len(support))):
+        total = support @ worth
+        total[kept] = -1.0
+        best = int(np.argmax(total))
+        kept.append(best)
+        worth[support[best] > 0] *= 0.5
+    return np.array(kept, int)
+
+
+def refine_directions(
+    rays: SegmentRays, dirs: Float[np.ndarray, "k 3"], steps: int = 3
+) -> Float[np.ndarray, "k 3"]:
+    """Each direction moved to the weighted least-squares direction of the segments that agree with it."""
+    outer = (rays.moment[:, :, None] * rays.moment[:, None, :]).reshape(len(rays), 9)
+    for _ in range(steps):
+        _, denominator = squared_distance(rays, dirs)
+        w = agreement(rays, dirs) * rays.weight / (denominator * rays.sigma**2)
+        dirs = np.linalg.eigh((w @ outer).reshape(-1, 3, 3))[1][:, :, 0]
+    return dirs

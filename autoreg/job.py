@@ -1,0 +1,200 @@
+"""One run of the command: a photo's file in, a folder of results out."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module, resources
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from autoreg.alignment import Alignment
+from autoreg.camera import Camera, fit_to_photo
+from autoreg.camera_files import read_camera
+from autoreg.errors import Refusal, RenderError
+from autoreg.image import Photo, load_photo
+from autoreg.outputs import clear_results, usable_folder, write_png, write_whole
+from autoreg.overlay import overlay_picture
+from autoreg.render import EngineName, choose_engine, render
+from autoreg.report import Json, RenderReport, aligned_report, refused_report, report_text
+from autoreg.scene import scene_text
+from autoreg.staging import demo_staging
+from autoreg.view import View
+
+# The picture that autoreg brings along, and the sides of the slabs in it.
+DEMO_NAME, DEMO_SLAB_M = "terrace", (0.5, 0.5)
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told about a run.
+
+    Attributes:
+        note: gets sentences that a person has to read.
+        doing: gets the name of each step as it begins.
+    """
+
+    note: Callable[[str], None]
+    doing: Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What one run was asked for.
+
+    Attributes:
+        photo: the photo's file.
+        folder: where the results go; made if missing.
+        camera: the camera's file, if there is one.
+        crop: x, y, w, h of the part of the calibrated frame that the photo shows.
+        slab: the slab's two sides in metres, in either order.
+        camera_height: the camera's height above the ground in metres.
+        engine: what renders, or None for no render.
+    """
+
+    photo: Path
+    folder: Path
+    camera: Path | None = None
+    crop: tuple[int, int, int, int] | None = None
+    slab: tuple[float, float] | None = None
+    camera_height: float | None = None
+    engine: EngineName | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended; `alignment` is None if the photo was refused."""
+
+    report: dict[str, Json]
+    alignment: Alignment | None
+    refusal: Refusal | None
+    render_error: RenderError | None
+    written: tuple[Path, ...]
+
+
+def demo_job(folder: Path, engine: EngineName | None) -> Job:
+    """The run on the picture that autoreg brings along."""
+    data = Path(str(resources.files("autoreg").joinpath("data")))
+    camera = data / f"{DEMO_NAME}.camera.json"
+    return Job(data / f"{DEMO_NAME}.jpg", folder, camera, slab=DEMO_SLAB_M, engine=engine)
+
+
+def run_job(job: Job, listener: Listener) -> Outcome:
+    """The outcome of a run, whose results are then in the folder.
+
+    Nothing is written before the photo is aligned or refused; the report is written once all that it
+    stands beside is there, and again with what the render adds.
+
+    Args:
+        job: what to do.
+        listener: is told what is being done.
+
+    Raises:
+        InputError: the photo, the camera or the folder cannot be used; nothing was written.
+    """
+    usable_folder(job.folder)
+    threading.Thread(target=_warm_up, daemon=True).start()
+    listener.doing("reading the photo")
+    photo = load_photo(job.photo)
+    camera = _camera_for(job, photo, listener)
+    listener.doing("aligning")
+    pipeline = import_module("autoreg.align")
+    try:
+        alignment: Alignment = pipeline.align(
+            photo.gray,
+            camera,
+            slab=job.slab,
+            camera_height=job.camera_height,
+            exif_focal_px=photo.exif_focal_px,
+        )
+    except Refusal as refusal:
+        report = refused_report(job.photo, photo.width, photo.height, refusal, camera)
+        written = _write_report(job, report, fresh=True)
+        return Outcome(report, None, refusal, None, (written,))
+
+    listener.doing("drawing")
+    colour = photo.colour()
+    report = aligned_report(job.photo, alignment, None)
+    view = View(alignment.camera.camera, alignment.pose.cam_from_ground)
+    staging = demo_staging(view, alignment.lattice)
+    backdrop = "scene-undistorted.png" if view.camera.has_distortion else "scene-photo.png"
+    scene = scene_text(alignment, staging, backdrop)
+    overlay = overlay_picture(alignment, colour)
+    job.folder.mkdir(parents=True, exist_ok=True)
+    clear_results(job.folder)
+    written = [
+        write_png(job.folder / "overlay.png", overlay),
+        write_png(job.folder / backdrop, straightened(colour, view.camera)),
+        write_whole(job.folder / "scene.pov", scene.encode()),
+        _write_report(job, report),
+    ]
+    if job.engine is None:
+        return Outcome(report, alignment, None, None, tuple(written))
+
+    try:
+        engine = choose_engine(job.engine, scene, job.folder)
+        if job.engine == "auto" and engine.name == "preview":
+            listener.note("POV-Ray is not installed, so the built-in preview renders")
+        listener.doing(f"rendering with {engine.name}")
+        made = render(engine, alignment, staging, colour)
+    except RenderError as error:
+        return Outcome(report, alignment, None, error, tuple(written))
+    names = ("render.png", "composite.png")
+    written += [
+        write_png(job.folder / names[0], made.layer),
+        write_png(job.folder / names[1], made.composite),
+    ]
+    report = aligned_report(job.photo, alignment, RenderReport(made.engine, names, made.check))
+    _write_report(job, report)
+    return Outcome(report, alignment, None, None, tuple(written))
+
+
+def _warm_up() -> None:
+    """Import the pipeline, which imports JAX and takes longer than a photo's decoding beside it.
+
+    The pipeline may also offer to compile its solver ahead of the first use.
+    """
+    warm_up = getattr(import_module("autoreg.align"), "warm_up", None)
+    if warm_up is not None:
+        warm_up()
+
+
+def straightened(photo: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
+    """The photo as a lens without distortion and with the same K would have taken it."""
+    if not camera.has_distortion:
+        return photo
+    straight = cv2.undistort(photo, camera.K, np.array(camera.dist))
+    # Past its fold the lens model shows parts of the photo a second time; those rays it knows nothing of.
+    x2 = ((np.arange(camera.width) - camera.cx) / camera.fx) ** 2
+    y2 = ((np.arange(camera.height) - camera.cy) / camera.fy) ** 2
+    if x2.max() + y2.max() > camera.valid_radius**2:
+        straight[x2 + y2[:, None] > camera.valid_radius**2] = 0
+    return straight
+
+
+def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:
+    """The camera from the job's file, made to fit the photo."""
+    if job.camera is None:
+        return None
+    camera, note = fit_to_photo(
+        read_camera(job.camera),
+        photo.width,
+        photo.height,
+        crop=job.crop,
+        photo_turned=photo.turned,
+        photo_mirrored=photo.mirrored,
+    )
+    if note:
+        listener.note(note)
+    return camera
+
+
+def _write_report(job: Job, report: dict[str, Json], *, fresh: bool = False) -> Path:
+    job.folder.mkdir(parents=True, exist_ok=True)
+    if fresh:
+        clear_results(job.folder)
+    return write_whole(job.folder / "alignment.json", report_text(report).encode())

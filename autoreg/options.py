@@ -1,0 +1,57 @@
+"""The command line's values as numbers."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from autoreg.errors import InputError
+
+
+def parse_slab(text: str) -> tuple[float, float]:
+    """The two sides in metres of "0.6x0.4", or of one number for a square.
+
+    Raises:
+        InputError: it is neither.
+    """
+    parts = re.split(r"[xX×*]", text.strip())
+    sides = [_number(part) for part in parts]
+    good = [side for side in sides if side is not None and side > 0]
+    if len(good) != len(sides) or len(sides) not in (1, 2):
+        raise InputError(f"--slab wants metres, such as 0.6x0.4, or 0.5 for a square slab; got {text!r}")
+    return good[0], good[-1]
+
+
+def parse_crop(text: str) -> tuple[int, int, int, int]:
+    """The x, y, w, h in pixels of "100,50,1600,1200".
+
+    Raises:
+        InputError: it is not four whole numbers, or the size is not positive.
+    """
+    parts = text.split(",")
+    if len(parts) != 4 or not all(re.fullmatch(r"\s*-?\d{1,9}\s*", part, re.ASCII) for part in parts):
+        raise InputError(f"--crop wants four whole numbers x,y,w,h, such as 100,50,1600,1200; got {text!r}")
+    x, y, width, height = (int(part) for part in parts)
+    if min(x, y) < 0 or min(width, height) < 1:
+        raise InputError(f"--crop x,y,w,h wants x, y of at least 0 and w, h of at least 1; got {text!r}")
+    return x, y, width, height
+
+
+def parse_height(value: float) -> float:
+    """The camera's height in metres.
+
+    Raises:
+        InputError: it is not a positive number.
+    """
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"--camera-height wants metres above the ground, such as 1.55; got {value}")
+    return value
+
+
+def _number(text: str) -> float | None:
+    """The finite number that a text is, or None."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

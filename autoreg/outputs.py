@@ -1,0 +1,75 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from autoreg.errors import InputError
+
+
+def write_whole(path: Path, content: bytes) -> Path:
+    """The path, which now holds `content`; if anything fails it holds what it held before.
+
+    The bytes go to a hidden file beside it, which then takes its name: a rename within one folder
+    happens at once, so no reader ever sees half a file, whatever interrupts the writing.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.write_bytes(content)
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    return path
+
+
+def write_png(path: Path, image: np.ndarray) -> Path:
+    """The path of a lossless picture (grey, BGR or BGRA), written whole."""
+    # Level 1 is several times faster than the default on a photo, and not much bigger.
+    done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not done:
+        raise ValueError(f"a picture of shape {image.shape} and type {image.dtype} has no PNG form")
+    return write_whole(path, encoded.tobytes())
+
+
+def usable_folder(folder: Path) -> Path:
+    """The folder itself, if results can be written there; nothing is made yet.
+
+    Raises:
+        InputError: a file stands in the way, or the place may not be written to.
+    """
+    place = folder.absolute()
+    while not os.path.lexists(place):
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(f"{place} is a file, so the folder {folder} cannot be made; give another with -o")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise InputError(f"nothing may be written in {place}; give another folder with -o")
+    return folder
+
+
+# The pictures and texts of one run; a later run into the same folder must not mix with them.
+RESULT_NAMES = (
+    "overlay.png",
+    "scene.pov",
+    "scene-photo.png",
+    "scene-undistorted.png",
+    "render.png",
+    "composite.png",
+)
+
+
+def clear_results(folder: Path) -> None:
+    """Take away an earlier run's results, so that a folder never shows two runs at once.
+
+    Only in a folder that holds an alignment.json: any other is not known to be ours.
+    """
+    report = folder / "alignment.json"
+    if report.is_file():
+        for path in (folder / name for name in RESULT_NAMES):
+            path.unlink(missing_ok=True)
+        report.unlink()

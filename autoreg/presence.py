@@ -1,0 +1,128 @@
+"""Which slab sides are really there: the support of each predicted side against places between the joints.
+
+The picture is its own control group. Each side is measured once where the lattice predicts it and several
+times where the lattice predicts none, with the same length, direction and neighbourhood. On ground without
+this lattice the two kinds of place are exchangeable, so the rank of a side's support among the controls is
+a p-value that needs no model of the texture.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.camera import Camera
+from autoreg.edges import sample_profiles, strip_support
+from autoreg.geometry import Rigid
+from autoreg.refine import Strip
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, Stations, visible_sides
+
+# The controls lie between these shares of the spacing off the predicted joint. Few sides get many controls
+# each, so that the p-values are fine enough.
+CONTROL_RANGE = (0.25, 0.75)
+CONTROLS_WANTED, CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 1000, 24, 3
+# Share of true sides that cannot be seen, and how sharply the p-values of the others gather at zero.
+MISSED = 0.12
+SHARPNESS = 0.2
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Support of each side: `p` its p-value among the controls, `llr` the log likelihood ratio in nats."""
+
+    sides: Sides
+    p: Float[np.ndarray, " n"]
+    llr: Float[np.ndarray, " n"]
+
+
+def side_presence(
+    picture: Float[np.ndarray, "h w"],
+    camera: Camera,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    strip: Strip,
+    *,
+    reach: float = 12.0,
+    tolerance_px: float = 1.5,
+    limit: int = 1200,
+) -> Presence:
+    """How well each visible side of a lattice is supported by the picture."""
+    sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit)
+    n = len(sides)
+    if n == 0:
+        return Presence(sides, np.zeros(0), np.zeros(0))
+    across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
+    direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
+    middle, half = sides.ends.mean(1), 0.4 * np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1)
+    controls = int(np.clip(np.ceil(CONTROLS_WANTED / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
+    places = [middle + f * across[:, None] * direction for f in (0.0, *np.linspace(*CONTROL_RANGE, controls))]
+    repeat = len(places)
+    stations = Stations(
+        ground=np.concatenate(places),
+        half_length=np.tile(half, repeat),
+        family=np.tile(sides.family, repeat),
+        line=np.tile(sides.line, repeat),
+        cell=np.tile(sides.cell, repeat),
+        side=np.tile(np.arange(n), repeat),
+    )
+    profiles = sample_profiles(picture, camera, cam_from_ground, stations, 8.0)
+    width = np.array(strip.width)[stations.family] * profiles.px_per_unit
+    # Between close joints the window must not reach the neighbours.
+    room = 0.5 * across[stations.side] * profiles.px_per_unit
+    support = strip_support(profiles, np.minimum(width, 6.0), strip.blur_px, tolerance_px, np.clip(room, 3.0, 8.0))
+    support = support.reshape(repeat, n)
+    p = np.ones(n)
+    for family in (ALONG_X, ALONG_Y):
+        rows = np.flatnonzero(sides.family == family)
+        if len(rows) == 0:
+            continue
+        beside = np.sort(support[1:, rows].ravel())
+        above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
+        p[rows] = (1 + above) / (1 + len(beside))
+    return Presence(sides, p, p_llr(p))
+
+
+def p_llr(p: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Log likelihood ratio of a p-value: a Beta density that gathers at zero, or missed, against uniform.
+
+    Its exponential has expectation one under the null, which makes the product over sides an e-value.
+    """
+    return np.log((1 - MISSED) * SHARPNESS * p ** (SHARPNESS - 1) + MISSED)
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Which sides of a fine lattice belong to the true one.
+
+    `family` x sides present where (line - cell * advance) % period == phase, likewise for y. `period` 1 is
+    all of them.
+    """
+
+    period: int
+    advance: int
+    phase: int
+    score: float
+
+
+def best_pattern(presence: Presence, family: int, periods: tuple[int, ...] = (1, 2, 3, 4, 5, 6)) -> list[Pattern]:
+    """Patterns of one family's sides, best first, by the sum of log likelihood ratios.
+
+    Absent sides are held against a pattern that predicts them and for one that does not, so neither half
+    nor twice the spacing can win.
+    """
+    rows = presence.sides.family == family
+    line, cell, llr = presence.sides.line[rows], presence.sides.cell[rows], presence.llr[rows]
+    found = [
+        Pattern(m, q, r, float(llr[(line - cell * q) % m == r].sum()))
+        for m in periods
+        for q in range(m)
+        for r in range(m)
+    ]
+    return sorted(found, key=lambda f: -f.score)
+
+
+def with_origin(pose: Rigid, x: float, y: float) -> Rigid:
+    """The pose with the ground's origin moved to (x, y)."""
+    return replace(pose, t=pose.t + pose.R[:, 0] * x + pose.R[:, 1] * y)

@@ -1,0 +1,158 @@
+"""Joint evidence on the rectified ground: a Hough transform restricted to two directions.
+
+Seen from a hypothesised ground plane, a joint along X is a line of constant y and a joint along Y one of
+constant x. The picture's gradient is sampled on a ground grid whose rows and columns are spaced so that
+neighbours are at most one pixel apart anywhere in the picture: each axis is stretched on its own, so that
+lines of both families stay straight and axis-parallel, near and far.
+
+Ground coordinates in this file are in camera heights, with the origin below the camera.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from autoreg.camera import Camera
+
+# A slab side that leans on fewer samples than this says nothing.
+MIN_SAMPLES = 4
+# Gradients far below the picture's own noise floor are not amplified, in grey levels per pixel.
+FLAT_GRADIENT = 0.15
+
+
+@dataclass(frozen=True)
+class Family:
+    """Evidence for the lines of one family: row i of `evidence` is the line at `offset[i]`.
+
+    `evidence` is the gradient across the line, divided by its neighbourhood's mean: it lies in [-1, 1], so
+    that neither a bright object nor a hard shadow outvotes the joints. `along` are the ground coordinates
+    of its columns.
+    """
+
+    evidence: Float[np.ndarray, "lines columns"]
+    visible: Bool[np.ndarray, "lines columns"]
+    offset: Float[np.ndarray, " lines"]
+    along: Float[np.ndarray, " columns"]
+
+
+@dataclass(frozen=True)
+class Rectified:
+    """The two families of one ground hypothesis: `x` runs along X, `y` along Y."""
+
+    x: Family
+    y: Family
+
+
+def rectify(
+    gray: np.ndarray, camera: Camera, R: Float[np.ndarray, "3 3"], *, reach: float = 12.0, size: int = 800
+) -> Rectified | None:
+    """Evidence for joints along X and along Y on the ground plane of a rotation, or None if none is seen.
+
+    Args:
+        gray: picture at detection scale, that `camera` belongs to.
+        camera: its camera.
+        R: cam_from_ground rotation; its third column is the ground's upward normal in camera axes.
+        reach: how far from the point below the camera to look, in camera heights.
+        size: limit to the number of rows and of columns.
+    """
+    axes = _grid_axes(camera, R, reach, size)
+    if axes is None:
+        return None
+    xs, ys = axes
+    smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7)
+    grad_x = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32)
+    grad_y = cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
+    Rf = R.astype(np.float32)
+    xf, yf = xs.astype(np.float32)[None, :], ys.astype(np.float32)[:, None]
+    X, Y, Z = (Rf[i, 0] * xf + Rf[i, 1] * yf - Rf[i, 2] for i in range(3))
+    ahead = Z > 1e-3
+    inverse = 1.0 / np.where(ahead, Z, 1.0)
+    xn, yn = X * inverse, Y * inverse
+    fx, fy = np.float32(camera.fx), np.float32(camera.fy)
+    if camera.has_distortion:
+        uv = camera.distort(np.stack([xn, yn], -1)).astype(np.float32)
+        u, v = uv[..., 0] * fx + np.float32(camera.cx), uv[..., 1] * fy + np.float32(camera.cy)
+    else:
+        u, v = xn * fx + np.float32(camera.cx), yn * fy + np.float32(camera.cy)
+    visible = (
+        ahead & (u > 1) & (u < camera.width - 2) & (v > 1) & (v < camera.height - 2)
+        & (xf * xf + yf * yf < reach * reach)
+    )  # fmt: skip
+    gu = cv2.remap(grad_x, u, v, cv2.INTER_LINEAR)
+    gv = cv2.remap(grad_y, u, v, cv2.INTER_LINEAR)
+    # Picture directions of X and of Y (distortion turns them by little, which the evidence tolerates).
+    xu, xv = (Rf[0, 0] - xn * Rf[2, 0]) * fx, (Rf[1, 0] - yn * Rf[2, 0]) * fy
+    yu, yv = (Rf[0, 1] - xn * Rf[2, 1]) * fx, (Rf[1, 1] - yn * Rf[2, 1]) * fy
+    across_x = (gv * xu - gu * xv) / np.sqrt(xu * xu + xv * xv + 1e-12)
+    across_y = (gu * yv - gv * yu) / np.sqrt(yu * yu + yv * yv + 1e-12)
+    along_y = _contrast(across_y, visible)
+    return Rectified(
+        x=Family(_contrast(across_x, visible), visible, ys, xs),
+        y=Family(np.ascontiguousarray(along_y.T), np.ascontiguousarray(visible.T), xs, ys),
+    )
+
+
+def _contrast(gradient: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    """Gradient against its neighbourhood's mean strength, bounded to [-1, 1]."""
+    strength = np.where(visible, np.abs(gradient), 0.0).astype(np.float32)
+    window = (41, 41)
+    seen = cv2.blur(visible.astype(np.float32), window)
+    mean = np.maximum(cv2.blur(strength, window) / np.maximum(seen, 1e-2), FLAT_GRADIENT)
+    return np.where(visible, gradient / (strength + mean), 0.0).astype(np.float32)
+
+
+def _grid_axes(
+    camera: Camera, R: np.ndarray, reach: float, size: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Ground coordinates of the grid's columns and rows, one pixel apart where the picture is densest."""
+    u, v = np.linspace(0, camera.width - 1, 61), np.linspace(0, camera.height - 1, 61)
+    px = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
+    xy = camera.normalise(px)
+    rays = np.c_[xy, np.ones(len(xy))] @ R
+    down = np.isfinite(rays).all(1) & (rays[:, 2] < -1e-3)
+    ground = rays[down, :2] / -rays[down, 2:]
+    near = np.linalg.norm(ground, axis=1) < reach
+    if near.sum() < 50:
+        return None
+    ground = ground[near]
+    cam = ground @ R[:, :2].T - R[:, 2]
+    z, xn = cam[:, 2:], cam[:, :2] / cam[:, 2:]
+    f = np.array([camera.fx, camera.fy])
+    to_x = (R[:2, 0] - xn * R[2, 0]) / z * f
+    to_y = (R[:2, 1] - xn * R[2, 1]) / z * f
+    area = np.abs(to_x[:, 0] * to_y[:, 1] - to_x[:, 1] * to_y[:, 0])
+    return (
+        _axis(ground[:, 0], area / np.linalg.norm(to_y, axis=1), size),
+        _axis(ground[:, 1], area / np.linalg.norm(to_x, axis=1), size),
+    )
+
+
+def _axis(coordinate: np.ndarray, px_per_unit: np.ndarray, size: int) -> np.ndarray:
+    """Coordinates one pixel apart where the picture is densest, at most `size` of them."""
+    bins = 64
+    edges = np.linspace(coordinate.min(), coordinate.max(), bins + 1)
+    which = np.clip(np.searchsorted(edges, coordinate) - 1, 0, bins - 1)
+    density = np.full(bins, 1e-6)
+    np.maximum.at(density, which, px_per_unit)
+    length = np.r_[0.0, np.cumsum(density * np.diff(edges))]
+    return np.interp(np.linspace(0.0, length[-1], int(np.clip(length[-1], 50, size))), length, edges)
+
+
+def line_support(family: Family, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coherence of each line between successive columns `edges`, and the number of visible samples.
+
+    |sum e| / sqrt(sum e^2): about one for texture, the root of the number of samples for a joint. Each
+    piece is judged by itself because in a checker floor the gradient's sign alternates along the line.
+    """
+    e, m = family.evidence, family.visible
+    zero = np.zeros((e.shape[0], 1), np.float32)
+    sums = np.hstack([zero, np.cumsum(e, 1)])
+    squares = np.hstack([zero, np.cumsum(e * e, 1)])
+    counts = np.hstack([zero, np.cumsum(m, 1, dtype=np.float32)])
+    a, b = edges[:-1], edges[1:]
+    total = np.abs(sums[:, b] - sums[:, a])
+    return total / np.sqrt(squares[:, b] - squares[:, a] + 0.3), counts[:, b] - counts[:, a]

@@ -1,0 +1,375 @@
+"""Refinement: the projected joints are laid on the photographed ones, measured again, until nothing changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from autoreg import residuals as terms
+from autoreg.camera import Camera
+from autoreg.edges import Offsets, Profiles, fit_offsets, sample_profiles, search_offsets, strip_misfit
+from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
+from autoreg.residuals import PARAMETERS, JointData
+from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Prior, Solution, solve_joints
+from autoreg.stations import (
+    ALONG_X,
+    ALONG_Y,
+    Grid,
+    Stations,
+    place_stations,
+    project_ground,
+    visible_sides,
+)
+
+WIDTHS = np.geomspace(0.004, 0.16, 14)
+BLURS = (0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2)
+
+
+@dataclass(frozen=True)
+class Free:
+    """What the solve may change besides the pose, and how far a prior lets the camera go."""
+
+    ratio: bool = False
+    focal: bool = False
+    centre: bool = False
+    nominal: Camera | None = None
+    focal_sigma: float = np.inf
+    centre_sigma_px: float = np.inf
+
+    @property
+    def mask(self) -> Float[np.ndarray, "10"]:
+        """Ones for the free parameters."""
+        mask = np.zeros(PARAMETERS)
+        mask[:6] = 1.0
+        mask[terms.RATIO], mask[terms.FOCAL], mask[terms.CENTRE] = self.ratio, self.focal, self.centre
+        return mask
+
+    def prior(self, camera: Camera) -> Prior:
+        """What is known of a solve's parameters when it starts from `camera`: the nominal one is meant."""
+        mean, sigma = np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)
+        sigma[terms.FOCAL], sigma[terms.CENTRE] = self.focal_sigma, self.centre_sigma_px
+        if self.nominal is not None:
+            mean[terms.FOCAL] = np.log(self.nominal.fx / camera.fx)
+            mean[terms.CENTRE] = self.nominal.cx - camera.cx, self.nominal.cy - camera.cy
+        return Prior(mean, sigma)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """What a joint looks like: its width on the ground for either family, and the picture's blur."""
+
+    width: tuple[float, float]
+    blur_px: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A refined pose with all that it was fitted to.
+
+    `weight` is each station's robust weight (0 to 1), `sigma_px` its expected scatter: measurement and the
+    slabs' own irregularity together.
+    """
+
+    camera: Camera
+    cam_from_ground: Rigid
+    grid: Grid
+    strip: Strip
+    stations: Stations
+    profiles: Profiles
+    offsets: Offsets
+    distances_px: Float[np.ndarray, " n"]
+    sigma_px: Float[np.ndarray, " n"]
+    usable: Bool[np.ndarray, " n"]
+    solution: Solution
+    free: Free
+
+    @property
+    def weight(self) -> Float[np.ndarray, " n"]:
+        """Cauchy weight of each station; zero for one whose joint could not be measured."""
+        return self.usable / (1.0 + (self.distances_px / (CAUCHY_SIGMAS * self.sigma_px)) ** 2)
+
+
+def refine(
+    picture: Float[np.ndarray, "h w"],
+    camera: Camera,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    *,
+    free: Free,
+    search: float,
+    reaches: tuple[float, ...],
+    strip: Strip | None = None,
+) -> Fit | None:
+    """The pose at which the projected joints lie on the photographed ones; None if nothing can be measured.
+
+    Args:
+        picture: grey levels that `camera` belongs to.
+        camera: its camera.
+        cam_from_ground: start; the lattice's unit is that of its translation.
+        grid: start of the lattice.
+        free: what else is solved for.
+        search: half width of the first search, in slab sides; 0 starts from the predicted places.
+        reaches: how far to look in each round, in camera heights.
+        strip: looks of the joints, if known.
+    """
+    fit: Fit | None = None
+    for reach in reaches:
+        now = _round(picture, camera, cam_from_ground, grid, strip, free, search, reach)
+        if now is None:
+            return fit
+        fit = now
+        camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
+        search = 0.5 * search if search >= 0.06 else 0.0
+    return fit
+
+
+def refine_until_still(
+    picture: Float[np.ndarray, "h w"],
+    camera: Camera,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    *,
+    free: Free,
+    search: float,
+    reach: float,
+    strip: Strip | None = None,
+    still_px: float = 0.003,
+    most_rounds: int = 6,
+) -> Fit | None:
+    """Like `refine` at one reach, measured again until no joint moves by more than `still_px` (RMS)."""
+    fit: Fit | None = None
+    for _ in range(most_rounds):
+        before = (camera, cam_from_ground, grid)
+        fit = refine(picture, *before, free=free, search=search, reaches=(reach,), strip=strip)
+        if fit is None:
+            return None
+        camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
+        moved = _motion_px(fit, *before)
+        if not search and moved < still_px:
+            break
+        search = 0.0
+    return fit
+
+
+def _motion_px(fit: Fit, camera: Camera, pose: Rigid, grid: Grid) -> float:
+    """RMS motion, across the joints, of the fit's stations from an earlier state."""
+    a = (fit.grid.spacing_x or 1.0) / (grid.spacing_x or 1.0)
+    stretched_ground = fit.stations.ground * [a, fit.grid.spacing_y / grid.spacing_y]
+    now = project_ground(fit.camera, fit.cam_from_ground, stretched_ground)
+    was = project_ground(camera, pose, fit.stations.ground)
+    across = ((now - was) * fit.profiles.normal).sum(1)
+    return float(np.sqrt(np.mean(across**2)))
+
+
+def _round(
+    picture: np.ndarray,
+    camera: Camera,
+    pose: Rigid,
+    grid: Grid,
+    strip: Strip | None,
+    free: Free,
+    search: float,
+    reach: float,
+) -> Fit | None:
+    sides = visible_sides(camera, pose, grid, reach=reach)
+    if len(sides) < 6:
+        return None
+    stations = place_stations(sides, camera, pose, limit=CAPACITY)
+    side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
+    across = np.where(stations.family == ALONG_X, side[1], side[0])
+    half = 10.0 if search else 7.0
+    profiles = sample_profiles(picture, camera, pose, stations, half + 3.0)
+    pitch_px = across * profiles.px_per_unit
+    reach_px = np.clip(search * pitch_px, 1.5, half) if search else np.full(len(stations), 1.5)
+    if strip is None:
+        strip = Strip((0.02 * side[1], 0.02 * side[0]), 0.9)
+        start, strip = _first_look(profiles, stations, strip, side, reach_px)
+    elif search:
+        start = _search(profiles, stations, strip, reach_px)
+    else:
+        start = np.zeros(len(stations))
+    for _ in range(2):
+        width_px = _width_px(strip, stations, profiles)
+        offsets = fit_offsets(profiles, start, np.minimum(width_px, 2 * half - 6), strip.blur_px)
+        usable = (offsets.strength > 0.25) & np.isfinite(offsets.offset_px) & (np.abs(offsets.offset_px) < reach_px + 1.5)
+        usable &= _polarity(offsets, stations)
+        if usable.sum() < 12:
+            return None
+        strip = _estimate_strip(profiles, offsets, stations, strip, usable, side)
+        start = offsets.offset_px
+    sigma = np.hypot(offsets.sigma_px, 0.3)
+    fit: Fit | None = None
+    for _ in range(3):
+        solution = solve_joints(
+            joint_data(camera, pose, stations, profiles, offsets, sigma, usable), free.mask, free.prior(camera)
+        )
+        if solution.outcome == "diverged":
+            return fit
+        distances = solution.distances_px
+        sigma = scatter_model(distances, offsets.sigma_px, profiles.px_per_unit, stations.side, usable)
+        fit = Fit(
+            camera=moved_camera(camera, solution),
+            cam_from_ground=moved_pose(pose, solution),
+            grid=stretched(grid, solution),
+            strip=strip,
+            stations=stations,
+            profiles=profiles,
+            offsets=offsets,
+            distances_px=distances,
+            sigma_px=sigma,
+            usable=usable,
+            solution=solution,
+            free=free,
+        )
+    return fit
+
+
+def _width_px(strip: Strip, stations: Stations, profiles: Profiles) -> np.ndarray:
+    return np.where(stations.family == ALONG_X, strip.width[0], strip.width[1]) * profiles.px_per_unit
+
+
+def _search(profiles: Profiles, stations: Stations, strip: Strip, reach_px: np.ndarray) -> np.ndarray:
+    width = _width_px(strip, stations, profiles)
+    reach = float(reach_px.max())
+    start = search_offsets(profiles, width, reach, reach / 2.0, strip.blur_px)
+    return np.clip(start, -reach_px, reach_px)
+
+
+def _first_look(
+    profiles: Profiles, stations: Stations, strip: Strip, side: np.ndarray, reach_px: np.ndarray
+) -> tuple[np.ndarray, Strip]:
+    """Joint width that explains the profiles best, from a few guesses, and the offsets found with it."""
+    best: tuple[float, np.ndarray, Strip] | None = None
+    for share in (0.006, 0.015, 0.035, 0.08):
+        guess = Strip((share * side[1], share * side[0]), strip.blur_px)
+        start = _search(profiles, stations, guess, reach_px)
+        fit = fit_offsets(profiles, start, _width_px(guess, stations, profiles), guess.blur_px, iterations=2)
+        score = float(np.mean(np.log(np.maximum(1.0 - fit.strength, 1e-3))))
+        if best is None or score < best[0]:
+            best = (score, fit.offset_px, guess)
+    assert best is not None
+    return best[1], best[2]
+
+
+def _polarity(offsets: Offsets, stations: Stations) -> Bool[np.ndarray, " n"]:
+    """Stations whose joint is dark (or light) like most of their family's, where the family is of one kind."""
+    fine = np.ones(len(stations), dtype=bool)
+    for family in (ALONG_X, ALONG_Y):
+        rows = stations.family == family
+        strong = rows & (offsets.strength > 0.5) & (np.abs(offsets.depth) > 0.5 * np.abs(offsets.step))
+        if strong.sum() < 8:
+            continue
+        dark = float(np.mean(offsets.depth[strong] < 0))
+        if max(dark, 1 - dark) > 0.8:
+            fine &= ~rows | (offsets.depth * (1 if dark < 0.5 else -1) > 0)
+    return fine
+
+
+def _estimate_strip(
+    profiles: Profiles, offsets: Offsets, stations: Stations, strip: Strip, usable: np.ndarray, side: np.ndarray
+) -> Strip:
+    """Joint width of either family and blur, by least squares over a sample of the stations."""
+    width, blur = list(strip.width), strip.blur_px
+    samples: list[np.ndarray] = []
+    for family in (ALONG_X, ALONG_Y):
+        rows = np.flatnonzero(usable & (stations.family == family))
+        samples.append(rows[np.linspace(0, len(rows) - 1, min(len(rows), 120)).astype(int)] if len(rows) else rows)
+    for _ in range(2):
+        for family, rows in enumerate(samples):
+            if len(rows) < 6:
+                continue
+            across = side[1] if family == ALONG_X else side[0]
+            options = across * WIDTHS
+            costs = [strip_misfit(profiles, rows, offsets.offset_px, w * profiles.px_per_unit, blur) for w in options]
+            width[family] = _lowest(np.log(options), np.array(costs))
+        rows = np.concatenate(samples)
+        width_px = np.where(stations.family == ALONG_X, width[0], width[1]) * profiles.px_per_unit
+        costs = [strip_misfit(profiles, rows, offsets.offset_px, width_px, b) for b in BLURS]
+        blur = _lowest(np.log(np.array(BLURS)), np.array(costs))
+    return Strip((width[0], width[1]), blur)
+
+
+def _lowest(log_at: np.ndarray, cost: np.ndarray) -> float:
+    """Place of the minimum, by a parabola through the lowest value and its neighbours."""
+    i = int(np.clip(cost.argmin(), 1, len(cost) - 2))
+    (x0, x1, x2), (y0, y1, y2) = log_at[i - 1 : i + 2], cost[i - 1 : i + 2]
+    if cost.argmin() != i:
+        return float(np.exp(log_at[cost.argmin()]))
+    bend = (y2 - y1) / (x2 - x1) - (y1 - y0) / (x1 - x0)
+    slope = (y2 - y0) / (x2 - x0)
+    return float(np.exp(np.clip(x1 - 0.5 * slope * (x2 - x0) / max(bend, 1e-12), x0, x2)))
+
+
+def joint_data(
+    camera: Camera,
+    pose: Rigid,
+    stations: Stations,
+    profiles: Profiles,
+    offsets: Offsets,
+    sigma_px: Float[np.ndarray, " n"],
+    usable: Bool[np.ndarray, " n"],
+) -> JointData:
+    """The measured joints in the solver's form."""
+    height = float(pose.origin_in_a[2])
+    return JointData(
+        ground=stations.ground,
+        measured_px=profiles.centre_px + offsets.offset_px[:, None] * profiles.normal,
+        normal=profiles.normal,
+        weight=usable / (CAUCHY_SIGMAS * sigma_px),
+        R=pose.R,
+        t=pose.t,
+        intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.dist]),
+        scale=np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, camera.fx, camera.fx]),
+    )
+
+
+def scatter_model(
+    distances: np.ndarray, sigma_fit: np.ndarray, px_per_unit: np.ndarray, side: np.ndarray, usable: np.ndarray
+) -> Float[np.ndarray, " n"]:
+    """Expected scatter of each station: its own measurement, and the slabs' irregularity on the ground.
+
+    The two shares are found by maximum likelihood (Cauchy) over a grid. Stations of one side share their
+    slab's displacement, so the irregular part counts once per side.
+    """
+    r, s, u = np.abs(distances[usable]), sigma_fit[usable], px_per_unit[usable]
+    s = np.maximum(s, 0.3 * np.median(s))
+    base = float(np.median(r)) * 1.48 + 1e-6
+    best = (np.inf, 1.0, 0.0)
+    for share_s in np.r_[0.0, np.geomspace(0.05, 2.0, 10)] * base / np.median(s):
+        for share_u in np.r_[0.0, np.geomspace(0.05, 2.0, 10)] * base / np.median(u):
+            variance = (share_s * s) ** 2 + (share_u * u) ** 2 + 1e-6
+            # Half the spread is a Cauchy's scale for normal residuals.
+            gamma2 = 0.45 * variance
+            cost = float(np.sum(0.5 * np.log(gamma2) + np.log1p(r * r / gamma2) - 0.5 * np.log(gamma2) * 0))
+            if cost < best[0]:
+                best = (cost, share_s, share_u)
+    _, share_s, share_u = best
+    per_side = np.bincount(side[usable], minlength=side.max() + 1)[side]
+    smooth = np.maximum(sigma_fit, 0.3 * np.median(s))
+    return np.sqrt((share_s * smooth) ** 2 + np.maximum(per_side, 1) * (share_u * px_per_unit) ** 2 + 1e-6)
+
+
+def moved_pose(pose: Rigid, solution: Solution) -> Rigid:
+    """The pose after a solve's small motion."""
+    p = solution.parameters
+    turn = rotation_from_vector(p[terms.ROTATION])
+    return Rigid(nearest_rotation(turn @ pose.R), turn @ pose.t + p[terms.TRANSLATION])
+
+
+def moved_camera(camera: Camera, solution: Solution) -> Camera:
+    """The camera after a solve."""
+    p = solution.parameters
+    focal = float(np.exp(p[terms.FOCAL]))
+    dx, dy = (float(v) for v in p[terms.CENTRE])
+    if focal == 1.0 and dx == 0.0 and dy == 0.0:
+        return camera
+    return replace(camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + dx, cy=camera.cy + dy)
+
+
+def stretched(grid: Grid, solution: Solution) -> Grid:
+    """The lattice after a solve."""
+    half = 0.5 * float(solution.parameters[terms.RATIO])
+    a = None if grid.spacing_x is None else grid.spacing_x * float(np.exp(half))
+    return replace(grid, spacing_x=a, spacing_y=grid.spacing_y * float(np.exp(-half)))

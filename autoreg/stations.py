@@ -1,0 +1,201 @@
+"""Where the joints of a lattice are looked for in the picture: stations along every visible slab side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid
+
+ALONG_X, ALONG_Y = 0, 1
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Bare lattice numbers: the joints that a `Lattice` will describe, in the unit of the pose.
+
+    `spacing_x` None means that only the unbroken joints are known (rows).
+    """
+
+    spacing_x: float | None
+    spacing_y: float
+    shift: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Slab sides on the ground. `family` 0 runs along X at y = line * spacing_y, 1 along Y.
+
+    `line` of a side along Y is its column i, `row` the course j it bounds; along X, `row` equals `line`
+    and `cell` counts the pieces along it.
+    """
+
+    ends: Float[np.ndarray, "n 2 2"]
+    family: Int[np.ndarray, " n"]
+    line: Int[np.ndarray, " n"]
+    cell: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        """Number of sides."""
+        return len(self.family)
+
+    def take(self, index: np.ndarray) -> Sides:
+        """The chosen sides."""
+        return Sides(*(getattr(self, f.name)[index] for f in fields(self)))
+
+
+def slab_sides(grid: Grid, low: np.ndarray, high: np.ndarray) -> Sides:
+    """Every slab side whose start lies in the box from `low` to `high` on the ground."""
+    a = grid.spacing_x if grid.spacing_x is not None else grid.spacing_y
+    b, s = grid.spacing_y, grid.shift
+    j = np.arange(np.floor(low[1] / b), np.ceil(high[1] / b) + 1)
+    i = np.arange(np.floor(low[0] / a) - 1, np.ceil(high[0] / a) + 2)
+    # In a running bond row j - 1's cross joints cut an unbroken joint as well as row j's do.
+    part = (-s) % 1.0
+    cuts = [(0.0, part), (part, 1.0)] if part > 1e-6 else [(0.0, 1.0)]
+    x_sides, x_line, x_cell = [], [], []
+    jj, ii = (v.ravel() for v in np.meshgrid(j, i, indexing="ij"))
+    row_start = ii + (jj * s) % 1.0
+    for n, (c0, c1) in enumerate(cuts):
+        x0, x1, y = (row_start + c0) * a, (row_start + c1) * a, jj * b
+        x_sides.append(np.stack([np.stack([x0, y], -1), np.stack([x1, y], -1)], 1))
+        x_line.append(jj)
+        x_cell.append(ii * len(cuts) + n)
+    ends, line, cell = np.concatenate(x_sides), np.concatenate(x_line), np.concatenate(x_cell)
+    family = np.full(len(line), ALONG_X)
+    if grid.spacing_x is not None:
+        column = ii - np.floor(jj * s)
+        x, y0 = (column + jj * s) * a, jj * b
+        ends = np.concatenate([ends, np.stack([np.stack([x, y0], -1), np.stack([x, y0 + b], -1)], 1)])
+        line, cell = np.concatenate([line, column]), np.concatenate([cell, jj])
+        family = np.concatenate([family, np.full(len(x), ALONG_Y)])
+    return Sides(ends, family, line.astype(np.int64), cell.astype(np.int64))
+
+
+def visible_ground(
+    camera: Camera, cam_from_ground: Rigid, reach: float, samples: int = 41
+) -> Float[np.ndarray, "n 2"]:
+    """Ground points under a grid of pixels, no farther from the camera's foot than `reach` heights."""
+    u, v = np.linspace(0, camera.width - 1, samples), np.linspace(0, camera.height - 1, samples)
+    xy = camera.normalise(np.stack(np.meshgrid(u, v), -1).reshape(-1, 2))
+    ground_from_cam = cam_from_ground.inverse
+    rays = np.c_[xy, np.ones(len(xy))] @ ground_from_cam.R.T
+    eye = ground_from_cam.t
+    down = np.isfinite(rays).all(1) & (rays[:, 2] < -1e-3)
+    scale = -eye[2] / rays[down, 2]
+    flat = rays[down, :2] * scale[:, None]
+    return flat[np.linalg.norm(flat, axis=1) < reach * eye[2]] + eye[:2]
+
+
+def project_ground(
+    camera: Camera, cam_from_ground: Rigid, points: Float[np.ndarray, "*n 2"]
+) -> Float[np.ndarray, "*n 2"]:
+    """Pixels of points of the ground plane."""
+    R, t = cam_from_ground.R, cam_from_ground.t
+    return camera.project(points @ R[:, :2].T + t)
+
+
+def visible_sides(
+    camera: Camera,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    *,
+    reach: float = 12.0,
+    min_px: float = 7.0,
+    border_px: float = 2.0,
+    limit: int = 6000,
+) -> Sides:
+    """Sides that lie wholly in the picture and whose slab measures at least `min_px` both ways."""
+    ground = visible_ground(camera, cam_from_ground, reach)
+    if len(ground) < 8:
+        return slab_sides(grid, np.zeros(2), np.full(2, -1.0)).take(np.zeros(0, dtype=int))
+    eye = cam_from_ground.origin_in_a
+    low, high = ground.min(0), ground.max(0)
+    a = grid.spacing_x if grid.spacing_x is not None else grid.spacing_y
+    # A box of more slabs than this is cut down around the camera's foot: far slabs are too small anyway.
+    cells = np.prod((high - low) / [a, grid.spacing_y])
+    if cells > 40_000:
+        centre = np.clip(eye[:2], low, high)
+        shrink = np.sqrt(40_000 / cells)
+        low, high = np.maximum(low, centre - shrink * (high - low)), np.minimum(high, centre + shrink * (high - low))
+    sides = slab_sides(grid, low, high)
+    middle = sides.ends.mean(1)
+    near = np.linalg.norm(middle - eye[:2], axis=1) < reach * eye[2]
+    sides = sides.take(np.flatnonzero(near))
+    px = project_ground(camera, cam_from_ground, sides.ends)
+    # The slab across the side, seen from the side's middle.
+    across = np.where(sides.family[:, None] == ALONG_X, [[0.0, grid.spacing_y]], [[a, 0.0]])
+    beside = project_ground(camera, cam_from_ground, sides.ends.mean(1) + across)
+    with np.errstate(invalid="ignore"):
+        inside = (px > border_px).all((1, 2)) & (px < [camera.width - 1 - border_px, camera.height - 1 - border_px]).all((1, 2))
+        along = px[:, 1] - px[:, 0]
+        length = np.linalg.norm(along, axis=1)
+        off = beside - px.mean(1)
+        width = np.abs(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]) / np.maximum(length, 1e-9)
+        good = np.flatnonzero(inside & (length >= min_px) & (width >= min_px))
+    if len(good) > limit:
+        good = np.sort(good[np.argsort(-np.minimum(length, width)[good], kind="stable")[:limit]])
+    return sides.take(good)
+
+
+@dataclass(frozen=True)
+class Stations:
+    """Short stretches of joint, each measured as one: centre on the ground, and which side it is of."""
+
+    ground: Float[np.ndarray, "n 2"]
+    half_length: Float[np.ndarray, " n"]
+    family: Int[np.ndarray, " n"]
+    line: Int[np.ndarray, " n"]
+    cell: Int[np.ndarray, " n"]
+    side: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        """Number of stations."""
+        return len(self.family)
+
+    def take(self, index: np.ndarray) -> Stations:
+        """The chosen stations."""
+        return Stations(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    @property
+    def direction(self) -> Float[np.ndarray, "n 2"]:
+        """Unit direction on the ground."""
+        return np.where(self.family[:, None] == ALONG_X, [[1.0, 0.0]], [[0.0, 1.0]])
+
+
+def place_stations(
+    sides: Sides,
+    camera: Camera,
+    cam_from_ground: Rigid,
+    *,
+    length_px: float = 24.0,
+    limit: int = 2048,
+    margin: float = 0.1,
+) -> Stations:
+    """Stations of about `length_px` along each side, clear of the crossings at its ends.
+
+    Where they would be more than `limit`, they are spread over all sides by leaving out every so many.
+    """
+    px = project_ground(camera, cam_from_ground, sides.ends)
+    usable = (1 - 2 * margin) * np.linalg.norm(px[:, 1] - px[:, 0], axis=1)
+    count = np.clip(np.round(usable / length_px), 1, 12).astype(int)
+    side = np.repeat(np.arange(len(sides)), count)
+    nth = np.arange(len(side)) - np.repeat(np.cumsum(count) - count, count)
+    step = (1 - 2 * margin) / count[side]
+    fraction = margin + (nth + 0.5) * step
+    start, end = sides.ends[side, 0], sides.ends[side, 1]
+    stations = Stations(
+        ground=start + fraction[:, None] * (end - start),
+        half_length=0.5 * step * np.linalg.norm(end - start, axis=1),
+        family=sides.family[side],
+        line=sides.line[side],
+        cell=sides.cell[side],
+        side=side,
+    )
+    if len(stations) > limit:
+        keep = np.unique(np.linspace(0, len(stations) - 1, limit).astype(int))
+        stations = stations.take(keep)
+    return stations

@@ -1,0 +1,140 @@
+"""Tones of the ground: joints by the area that they cover of a pixel's footprint, slabs, and patterns."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from autoreg.synthetic.scene import SyntheticScene
+
+TABLE = 128  # The random tables repeat after so many cells, far beyond what one photo shows sharply.
+
+Tones = Float[np.ndarray, "*n"]
+
+
+def comb_coverage(x: Tones, width: Tones, period: float, band: float) -> Tones:
+    """Part of the intervals [x - width/2, x + width/2] that lies in bands around the multiples of a period.
+
+    Exact for any width, because it is the difference of the bands' integral at both ends.
+    """
+
+    def integral(s: Tones) -> Tones:
+        nearest = np.round(s / period)
+        return band * nearest + np.clip(s - period * nearest, -0.5 * band, 0.5 * band)
+
+    return (integral(x + 0.5 * width) - integral(x - 0.5 * width)) / width
+
+
+def band_coverage(gap: Tones, width: Tones, half_band: float) -> Tones:
+    """Part of intervals that lies in one band, from the distances between their middles and the band's."""
+    first = np.maximum(gap - 0.5 * width, -half_band)
+    last = np.minimum(gap + 0.5 * width, half_band)
+    return np.maximum(last - first, 0.0) / width
+
+
+def smooth_noise(table: Float[np.ndarray, "m m"], x: Tones, y: Tones) -> Tones:
+    """Value noise of unit cells: the table's values at the corners, joined bilinearly."""
+    i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    p, q = x - i, y - j
+    i0, i1, j0, j1 = i % TABLE, (i + 1) % TABLE, j % TABLE, (j + 1) % TABLE
+    low = table[j0, i0] * (1 - p) + table[j0, i1] * p
+    high = table[j1, i0] * (1 - p) + table[j1, i1] * p
+    return low * (1 - q) + high * q
+
+
+class Ground:
+    """The ground of one scene; its tables are drawn once, so that every sample sees the same stones."""
+
+    def __init__(self, scene: SyntheticScene, rng: np.random.Generator) -> None:
+        self.scene = scene
+        self._tone = rng.standard_normal((TABLE, TABLE))
+        self._shift_x = np.clip(rng.standard_normal((TABLE, TABLE)), -2.5, 2.5) * scene.jitter_m
+        self._shift_y = np.clip(rng.standard_normal((TABLE, TABLE)), -2.5, 2.5) * scene.jitter_m
+        self._noise = rng.standard_normal((3, TABLE, TABLE))
+        self._sites = rng.uniform(0.1, 0.9, (TABLE, TABLE, 2))
+        # Ends of the random slabs of a "rows" field: a sorted run of lengths per row, repeated along X.
+        lengths = rng.uniform(0.5, 1.5, (TABLE, 32)) * scene.spacing_m[0]
+        self._ends = np.cumsum(lengths, 1)
+
+    def tone(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
+        """Grey levels of ground samples whose footprints are `width` wide."""
+        kind = self.scene.kind
+        if kind == "crazy":
+            return self._crazy(x, y, np.hypot(width_x, width_y))
+        if kind == "gravel":
+            return self._gravel(x, y, np.hypot(width_x, width_y))
+        if kind == "rows":
+            return self._rows(x, y, width_x, width_y)
+        return self._lattice(x, y, width_x, width_y)
+
+    def texture(self, x: Tones, y: Tones, width: Tones) -> Tones:
+        """Relative tone of stone at three scales; what is finer than the footprint averages out."""
+        total = np.zeros_like(x)
+        for table, grain in zip(self._noise, (0.5, 0.06, 0.012), strict=True):
+            fade = np.minimum(1.0, (0.5 * grain / width) ** 2)
+            total += fade * smooth_noise(table, x / grain, y / grain)
+        return 1 + self.scene.texture * total / np.sqrt(3)
+
+    def _slab_tone(self, i: Int[np.ndarray, "*n"], j: Int[np.ndarray, "*n"]) -> Tones:
+        scene = self.scene
+        tone = scene.slab_tone
+        if scene.second_tone is not None:
+            tone = np.where((i + j) % 2 == 0, scene.slab_tone, scene.second_tone)
+        return tone * (1 + scene.tone_spread * self._tone[j % TABLE, i % TABLE])
+
+    def _lattice(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
+        scene = self.scene
+        (a, b), joint = scene.spacing_m, scene.joint_width_m
+        j = np.floor(y / b).astype(np.int64)
+        x = x - np.mod(j * scene.shift, 1.0) * a
+        i = np.floor(x / a).astype(np.int64)
+        # A slab moves inside its own cell; the seam between cells lies in the middle of the joint, unseen.
+        along_x = comb_coverage(y - self._shift_y[j % TABLE, i % TABLE], width_y, b, joint)
+        covered = along_x
+        if scene.kind != "planks":
+            across = comb_coverage(x - self._shift_x[j % TABLE, i % TABLE], width_x, a, joint)
+            covered = along_x + across - along_x * across
+        else:
+            i = np.zeros_like(i)
+        return covered * scene.joint_tone + (1 - covered) * self._slab_tone(i, j)
+
+    def _rows(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
+        scene = self.scene
+        b, joint = scene.spacing_m[1], scene.joint_width_m
+        j = np.floor(y / b).astype(np.int64)
+        along = comb_coverage(y, width_y, b, joint)
+        ends = self._ends[j % TABLE]
+        turn = np.mod(x, ends[..., -1])
+        i = np.sum(ends <= turn[..., None], axis=-1)
+        left = np.where(i > 0, np.take_along_axis(ends, np.maximum(i - 1, 0)[..., None], -1)[..., 0], 0.0)
+        right = np.take_along_axis(ends, i[..., None], -1)[..., 0]
+        gap = np.minimum(turn - left, right - turn)
+        across = band_coverage(gap, width_x, 0.5 * joint)
+        covered = along + across - along * across
+        return covered * scene.joint_tone + (1 - covered) * self._slab_tone(i, j)
+
+    def _crazy(self, x: Tones, y: Tones, width: Tones) -> Tones:
+        """Voronoi cells of a shaken grid; the joint is where the two nearest sites are about equally far."""
+        scene = self.scene
+        size = scene.spacing_m[0]
+        i, j = np.floor(x / size).astype(np.int64), np.floor(y / size).astype(np.int64)
+        first = np.full(x.shape, np.inf)
+        second = np.full(x.shape, np.inf)
+        stone = np.zeros(x.shape, np.int64)
+        for dj in (-1, 0, 1):
+            for di in (-1, 0, 1):
+                site = self._sites[(j + dj) % TABLE, (i + di) % TABLE]
+                away = np.hypot(x / size - i - di - site[..., 0], y / size - j - dj - site[..., 1])
+                nearer = away < first
+                second = np.minimum(second, np.where(nearer, first, away))
+                stone = np.where(nearer, (i + di) * 31 + (j + dj), stone)
+                first = np.minimum(first, away)
+        covered = band_coverage(0.5 * size * (second - first), width, scene.joint_width_m)
+        return covered * scene.joint_tone + (1 - covered) * self._slab_tone(stone, np.zeros_like(stone))
+
+    def _gravel(self, x: Tones, y: Tones, width: Tones) -> Tones:
+        total = np.zeros_like(x)
+        for table, grain in zip(self._noise, (0.04, 0.015, 0.006), strict=True):
+            fade = np.minimum(1.0, 0.5 * grain / width)
+            total += fade * smooth_noise(table, x / grain + 7.3, y / grain + 1.7)
+        return self.scene.slab_tone * (1 + 0.25 * total)

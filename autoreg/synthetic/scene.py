@@ -1,0 +1,128 @@
+"""What a synthetic photo shows, and what comes out of drawing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid
+from autoreg.lattice import Lattice
+from autoreg.synthetic.poses import look_at_ground
+
+GroundKind = Literal["lattice", "rows", "planks", "crazy", "gravel"]
+
+
+def _default_camera() -> Camera:
+    return Camera(1024, 768, 900.0, 900.0, 511.5, 383.5)
+
+
+def _default_pose() -> Rigid:
+    return look_at_ground(pitch_deg=38.0, height_m=1.6, heading_deg=20.0, foot_m=(0.13, 0.21))
+
+
+@dataclass(frozen=True)
+class SyntheticScene:
+    """A paved ground seen by a camera.
+
+    Attributes:
+        camera: the camera that takes the photo, distortion included.
+        cam_from_ground: its pose; the ground frame is the lattice frame.
+        kind: how the ground is laid; "rows" has unbroken joints along X only and cross joints at random,
+            "planks" no cross joints at all, "crazy" and "gravel" no lattice.
+        spacing_m: spacing of the joint centre lines along X and Y; the size of the stones of "crazy".
+        shift: part of a slab by which each row moves along +X; 0 is a stack bond.
+        joint_width_m: width of the joints.
+        joint_tone: grey level of the joints.
+        slab_tone: mean grey level of the slabs.
+        second_tone: grey level of every other slab of a chessboard, or None.
+        tone_spread: standard deviation of the slabs' tone, relative.
+        texture: standard deviation of the stone's texture, relative.
+        jitter_m: standard deviation of each slab's place along X and along Y; it must stay under a fifth of
+            the joint's width, so that slabs do not touch.
+        shadows: number of cast shadows (hard edges, three sides).
+        shade: tone in the shadow, relative.
+        clutter: number of flat discs and boxes that lie on the ground.
+        blur_px: standard deviation of the lens's point spread.
+        noise_grey: standard deviation of the sensor's noise, grey levels.
+        colour: BGR picture instead of a grey one.
+        samples: samples along each side of a pixel.
+        seed: everything random comes from it.
+    """
+
+    camera: Camera = field(default_factory=_default_camera)
+    cam_from_ground: Rigid = field(default_factory=_default_pose)
+    kind: GroundKind = "lattice"
+    spacing_m: tuple[float, float] = (0.4, 0.4)
+    shift: float = 0.0
+    joint_width_m: float = 0.01
+    joint_tone: float = 60.0
+    slab_tone: float = 150.0
+    second_tone: float | None = None
+    tone_spread: float = 0.04
+    texture: float = 0.03
+    jitter_m: float = 0.0
+    shadows: int = 0
+    shade: float = 0.45
+    clutter: int = 0
+    blur_px: float = 0.5
+    noise_grey: float = 1.5
+    colour: bool = True
+    samples: int = 2
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if min(self.spacing_m) <= self.joint_width_m:
+            raise ValueError(
+                f"joint_width_m must be under the spacing {self.spacing_m} m, got {self.joint_width_m} m"
+            )
+        if self.jitter_m > 0.2 * self.joint_width_m:
+            raise ValueError(
+                f"jitter_m must be at most a fifth of joint_width_m = {self.joint_width_m} m, "
+                f"got {self.jitter_m} m"
+            )
+        if self.samples < 1:
+            raise ValueError(f"samples must be at least 1, got {self.samples}")
+
+
+@dataclass(frozen=True)
+class SyntheticPhoto:
+    """A photo with its truth; `lattice` is None where the ground has none."""
+
+    pixels: UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w"]
+    camera: Camera
+    cam_from_ground: Rigid
+    lattice: Lattice | None
+
+    def project(self, ground_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """Pixels of ground points; NaN for points that are not in front of the camera."""
+        points = np.column_stack([ground_m, np.zeros(len(ground_m))])
+        return self.camera.project(self.cam_from_ground.apply(points))
+
+    def crossings(
+        self, *, margin_px: float = 0.0, reach_m: float = np.inf
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+        """Ground points and pixels of the joint crossings (i + j shift, j) that the photo shows.
+
+        Args:
+            margin_px: crossings nearer to the picture's edge are left out.
+            reach_m: crossings farther from the camera are left out.
+        """
+        if self.lattice is None or self.lattice.spacing_x is None or self.lattice.shift is None:
+            raise ValueError("crossings are defined for a lattice with a period along X and Y only")
+        a, b = self.lattice.spacing_x, self.lattice.spacing_y
+        eye = self.cam_from_ground.origin_in_a
+        n = int(np.ceil(min(reach_m, 12 * eye[2] + 40 * max(a, b)) / min(a, b)))
+        steps = np.arange(-n, n + 1)
+        i, j = (g.ravel() for g in np.meshgrid(steps, steps + round(eye[1] / b)))
+        moved = j * self.lattice.shift
+        ground = np.column_stack([(i + np.round(eye[0] / a - moved) + moved) * a, j * b])
+        pixels = self.project(ground)
+        size = np.array([self.camera.width, self.camera.height])
+        near = np.hypot(np.linalg.norm(ground - eye[:2], axis=1), eye[2]) <= reach_m
+        with np.errstate(invalid="ignore"):
+            shown = np.all((pixels >= margin_px) & (pixels <= size - 1 - margin_px), axis=1) & near
+        return ground[shown], pixels[shown]

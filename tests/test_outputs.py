@@ -1,0 +1,50 @@
+import os
+
+import cv2
+import numpy as np
+import pytest
+
+from autoreg.errors import InputError
+from autoreg.outputs import clear_results, usable_folder, write_png, write_whole
+
+
+def test_a_file_that_could_not_be_written_keeps_its_old_content(tmp_path, monkeypatch):
+    path = write_whole(tmp_path / "report.json", b"old")
+
+    def fail(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["report.json"]
+
+
+def test_a_written_picture_is_read_back_unchanged(tmp_path):
+    image = np.random.default_rng(1).integers(0, 256, (20, 30, 4)).astype(np.uint8)
+    path = write_png(tmp_path / "a b'ü.png", image)
+    assert (cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED) == image).all()
+
+
+def test_a_folder_that_can_be_made_is_not_made_yet(tmp_path):
+    folder = tmp_path / "deep" / "er"
+    assert usable_folder(folder) == folder
+    assert not (tmp_path / "deep").exists()
+
+
+def test_a_file_in_the_folders_way_is_an_input_error(tmp_path):
+    (tmp_path / "taken").write_text("")
+    for folder in (tmp_path / "taken", tmp_path / "taken" / "below"):
+        with pytest.raises(InputError, match="is a file"):
+            usable_folder(folder)
+
+
+def test_earlier_results_are_cleared_only_where_a_report_stands(tmp_path):
+    (tmp_path / "scene.pov").write_text("mine")
+    clear_results(tmp_path)
+    assert (tmp_path / "scene.pov").exists()
+    (tmp_path / "alignment.json").write_text("{}")
+    (tmp_path / "notes.txt").write_text("keep")
+    clear_results(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
