@@ -20,7 +20,7 @@ from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
-from autoreg.paving import Paving, comb_plane, lay_lattice, settle_bond
+from autoreg.paving import Paving, comb_planes, lay_lattice, settle_bond
 from autoreg.refine import Fit, Free, refine_until_still
 from autoreg.segments import detect_segments
 from autoreg.uncertainty import check_camera, pose_covariance
@@ -34,6 +34,8 @@ RATIO_TOLERANCE = 0.03
 # What is known of an uncalibrated camera: logarithm of its focal length with and without EXIF (the latter
 # about one picture width), and the principal point as a share of the long side.
 EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA = 0.05, 0.5, 0.012
+# ... and the first radial distortion coefficient, which curved joints tell.
+RADIAL_SIGMA = 0.1
 
 
 def align(
@@ -105,9 +107,9 @@ def find_paving(gray: np.ndarray, camera: Camera | None) -> Paving:
             (h.R, Camera.from_focal(width, height, focal))
             for h, focal in ground_planes_unknown_focal(segments, width, height, max_hypotheses=12)
         ]
-    planes = [comb_plane(picture, c.scaled(small.shape[1], small.shape[0]), R) for R, c in hypotheses]
-    ranked = sorted((p for p in planes if p is not None), key=lambda p: -p.score)
-    found = [lay_lattice(picture, plane, free_focal=camera is None) for plane in ranked[:3]]
+    ranked = comb_planes(small, [(c.scaled(small.shape[1], small.shape[0]), R) for R, c in hypotheses])
+    free = Free(ratio=True) if camera is not None else Free(True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA)
+    found = [lay_lattice(picture, plane, free) for plane in ranked[:3]]
     pavings = sorted((p for p in found if p is not None), key=lambda p: -p.margin_nats)
     if not pavings:
         raise _no_lattice(None)
@@ -152,9 +154,11 @@ def _freedom(
         ratio=slab is None,
         focal=True,
         centre=True,
+        radial=True,
         nominal=nominal,
         focal_sigma=EXIF_FOCAL_SIGMA if source == "exif" else PHOTO_FOCAL_SIGMA,
         centre_sigma_px=CENTRE_SIGMA * max(width, height),
+        radial_sigma=RADIAL_SIGMA,
     )
 
 

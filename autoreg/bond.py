@@ -17,6 +17,10 @@ from autoreg.stations import Grid
 
 # Cross joints are judged clear of the unbroken joints that end them.
 MARGIN = 0.12
+# Samples of the courses' autocorrelation.
+AUTOCORRELATION = 4096
+# Either family must carry at least this much evidence for a bond to be looked into.
+WORTH_NATS = 5.0
 
 
 @dataclass(frozen=True)
@@ -24,15 +28,14 @@ class BondHypothesis:
     """A lattice on the rectified ground, in camera heights.
 
     `turned`: the unbroken joints are those of the rectified picture's `y` family, so that the lattice's X
-    axis is the rectified Y axis. `origin` is a crossing in the rectified axes. `score` is the mean log
-    likelihood ratio per course plus that per column, in nats.
+    axis is the rectified Y axis. `origin` is a crossing in the rectified axes. `score` is the log likelihood
+    ratio of all its sides against chance, in nats.
     """
 
     grid: Grid
     turned: bool
     origin: Float[np.ndarray, "2"]
     score: float
-    cross_score: float
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def bond_hypotheses(rectified: Rectified, *, combs: int = 3, keep: int = 4) -> t
         unbroken, cross = (rectified.y, rectified.x) if turned else (rectified.x, rectified.y)
         for comb in of_family[turned]:
             courses = course_support(cross, comb)
-            spacings = _cross_spacings(cross, comb, of_family[not turned])
+            spacings = _cross_spacings(courses, cross, comb, of_family[not turned])
             scored = best_bonds(courses, cross.offset, spacings)
             tried: list[float] = []
             for i in np.argsort(-scored[:, 0], kind="stable")[:60]:
@@ -134,26 +137,56 @@ def bond_hypotheses(rectified: Rectified, *, combs: int = 3, keep: int = 4) -> t
                     continue
                 tried.append(a)
                 columns = course_support(unbroken, Comb(a, phase, 0.0))
-                lines = _mean_line_score(columns, unbroken.offset, comb)
-                origin = np.array([comb.phase, phase]) if turned else np.array([phase, comb.phase])
-                found.append(BondHypothesis(Grid(a, comb.spacing, shift), turned, origin, float(score + lines), float(score)))
+                lines = _line_score(columns, unbroken.offset, comb)
+                if min(lines, score * len(courses.index)) < WORTH_NATS:
+                    continue
+                # Turned by a quarter, course k becomes course -1 - k.
+                origin = np.array([comb.phase, phase - shift * a]) if turned else np.array([phase, comb.phase])
+                grid = Grid(a, comb.spacing, _customary(float(-shift % 1.0 if turned else shift)))
+                found.append(BondHypothesis(grid, turned, origin, lines + float(score) * len(courses.index)))
     found.sort(key=lambda h: -h.score)
     return tuple(found[:keep])
 
 
-def _cross_spacings(cross: Family, comb: Comb, combs: tuple[Comb, ...]) -> np.ndarray:
-    """Spacings worth trying: multiples of the whole-line spacing, and a coarse grid."""
-    finest = 5.0 * float(np.diff(cross.offset).min())
-    grid = np.geomspace(max(finest, comb.spacing / 5), min(6 * comb.spacing, float(np.ptp(cross.offset))), 90)
-    near = [c.spacing * m * f for c in combs for m in (1, 2, 3, 4, 5) for f in (0.99, 1.0, 1.01)]
-    return np.sort(np.r_[grid, np.array([s for s in near if s >= finest])])
+def _customary(shift: float) -> float:
+    """The shift in use by pavers next to a measured one, if there is one within the phases' resolution."""
+    customs = np.array([0.0, 1 / 5, 1 / 4, 1 / 3, 2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 4 / 5, 1.0])
+    nearest = float(customs[np.abs(customs - shift).argmin()])
+    return nearest % 1.0 if abs(nearest - shift) < 1.2 / PHASES else shift
 
 
-def _mean_line_score(columns: Courses, offset: np.ndarray, comb: Comb) -> float:
-    """Mean over columns of the summed log likelihood ratios of a comb's lines."""
+def _cross_spacings(courses: Courses, cross: Family, comb: Comb, combs: tuple[Comb, ...]) -> np.ndarray:
+    """Spacings worth trying: peaks of the courses' autocorrelation, and multiples of the whole-line spacing.
+
+    The autocorrelation of each course alone knows the spacing whatever the shift from course to course.
+    """
+    if len(courses.index) == 0:
+        return np.zeros(0)
+    offset = cross.offset
+    finest, widest = 5.0 * float(np.diff(offset).min()), min(8 * comb.spacing, 0.8 * float(np.ptp(offset)))
+    uniform = np.linspace(offset[0], offset[-1], AUTOCORRELATION)
+    row = np.rint(np.interp(uniform, offset, np.arange(len(offset)))).astype(int)
+    hits = np.maximum(courses.llr[:, row], 0.0)
+    seen = courses.seen[:, row].astype(float)
+    # A hit is smeared over about one percent of the spacing that is looked for.
+    power = np.zeros(AUTOCORRELATION)
+    for signal, sign in ((hits, 1.0), (seen * hits.sum(1, keepdims=True) / np.maximum(seen.sum(1, keepdims=True), 1.0), -1.0)):
+        spectrum = np.fft.rfft(signal, 2 * AUTOCORRELATION, axis=1)
+        power += sign * np.fft.irfft((np.abs(spectrum) ** 2).sum(0))[:AUTOCORRELATION]
+    power = np.convolve(power, np.ones(5) / 5, "same")
+    lag = uniform - uniform[0]
+    peaks = np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] >= power[2:])) + 1
+    peaks = peaks[(lag[peaks] > max(finest, comb.spacing / 6)) & (lag[peaks] < widest)]
+    peaks = peaks[np.argsort(-power[peaks], kind="stable")[:8]]
+    near = [lag[p] / m * f for p in peaks for m in (1, 2) for f in np.linspace(0.985, 1.015, 7)]
+    near += [c.spacing * m * f for c in combs[:2] for m in (1, 2, 3, 4, 5) for f in (0.993, 1.0, 1.007)]
+    return np.sort(np.array([s for s in near if finest <= s <= widest]))
+
+
+def _line_score(columns: Courses, offset: np.ndarray, comb: Comb) -> float:
+    """Log likelihood ratio of a comb's lines, column by column."""
     if len(columns.index) == 0:
         return 0.0
     k = np.arange(np.floor((offset[0] - comb.phase) / comb.spacing), np.ceil((offset[-1] - comb.phase) / comb.spacing) + 1)
     row = np.rint(np.interp(comb.phase + k * comb.spacing, offset, np.arange(len(offset)), left=-1, right=-1)).astype(int)
-    row = row[row >= 0]
-    return float(columns.llr[:, row].sum() / len(columns.index))
+    return float(columns.llr[:, row[row >= 0]].sum())

@@ -30,10 +30,8 @@ def scalar(fields: Mapping[str, object], names: tuple[str, ...]) -> tuple[str, f
 
 
 def array(fields: Mapping[str, object], names: tuple[str, ...]) -> tuple[str, np.ndarray]:
-    """A key and its numbers: a matrix of FileStorage, ROS's rows/cols/data, or a plain list."""
+    """A key and its numbers: a matrix as rows, cols and data (OpenCV's and ROS's), or a plain list."""
     key, value = _required(fields, names)
-    if isinstance(value, np.ndarray):
-        return key, value
     if not isinstance(value, Mapping):
         return key, np.array(numbers(key, value))
     entries: Mapping[str, object] = value
@@ -51,8 +49,6 @@ def array(fields: Mapping[str, object], names: tuple[str, ...]) -> tuple[str, np
 def distortion(key: str, coefficients: np.ndarray) -> tuple[float, ...]:
     """Distortion coefficients as far as Camera holds them."""
     values = [float(value) for value in coefficients]
-    if not all(map(math.isfinite, values)):
-        raise InputError(f"key {key!r} holds a number that is not finite; calibrate again")
     if len(values) in (12, 14):
         if any(values[8:]):
             raise InputError(
@@ -76,7 +72,7 @@ def numbers(key: str, value: object) -> list[float]:
 
 
 def number(key: str, value: object) -> float:
-    """A finite number; a string is read too, because YAML 1.1 takes 1e-05 for one."""
+    """A finite number; a string is read too, because YAML 1.1 takes 1e-05 for one and XML has no other."""
     try:
         result = math.nan if isinstance(value, bool) else float(value)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, OverflowError):

@@ -8,8 +8,8 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from xml.etree import ElementTree
 
-import cv2
 import numpy as np
 import yaml
 
@@ -112,12 +112,12 @@ def _reader_of(text: str) -> Callable[[str], Camera]:
     start = text.lstrip()
     if start.startswith("{"):
         return _from_json
-    if start.startswith("<") or "opencv-matrix" in text:
-        return _from_file_storage
+    if start.startswith("<"):
+        return _from_xml
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if "# Camera list" in text or (lines and _COLMAP_LINE.match(lines[0])):
         return _from_colmap
-    return _from_ros
+    return _from_yaml
 
 
 def _from_json(text: str) -> Camera:
@@ -130,8 +130,8 @@ def _from_json(text: str) -> Camera:
             "JSON, but not an object {...}; autoreg's format has width, height, fx, fy, cx, cy, dist"
         )
     fields: dict[str, object] = content
-    if any("opencv-matrix" in str(value) for value in fields.values()):
-        return _from_file_storage(text)
+    if "fx" not in fields and find(fields, _MATRIX) is not None:
+        return _from_fields(fields)  # OpenCV's JSON
     names = ("width", "height", "fx", "fy", "cx", "cy", "dist")
     missing = [name for name in names if name not in fields]
     if missing:
@@ -147,60 +147,52 @@ def _from_json(text: str) -> Camera:
     return Camera(whole("width", width), whole("height", height), fx, fy, cx, cy, dist)
 
 
-def _from_file_storage(text: str) -> Camera:
-    """The camera of OpenCV's YAML, XML or JSON."""
-    text = text.lstrip()
-    if not text.startswith(("<", "{")):
-        # 4.x writes "%YAML:1.0", 5.0 writes "%YAML 1.2", and not every version reads the other's.
-        text = "%YAML:1.0\n" + _YAML_HEADER.sub("", text)
-    wanted = {*_WIDTH, *_HEIGHT, *_SIZE, *_MATRIX, *_DIST, *_MODEL, *_FISHEYE}
-    fields: dict[str, object] = {}
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+def _from_xml(text: str) -> Camera:
+    """The camera of OpenCV's XML."""
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        for key in storage.root().keys():  # noqa: SIM118  (a FileNode is no mapping)
-            if key.lower() in wanted:
-                fields[key] = _node_value(key, storage.getNode(key))
-        storage.release()
-    except (cv2.error, SystemError) as error:
-        # OpenCV 5 reports a syntax error as SystemError: a C++ exception crossed a constructor.
-        raise InputError(
-            "looks like OpenCV FileStorage, but OpenCV cannot parse it; write it again with cv2.FileStorage"
-        ) from error
-    finally:
-        cv2.utils.logging.setLogLevel(level)
-    return _from_fields(fields)
+        root = ElementTree.fromstring(text.strip())
+    except ElementTree.ParseError as error:
+        raise InputError(f"broken XML ({error}); write it again with the tool that made it") from error
+    if root.tag != "opencv_storage":
+        raise InputError(f"XML, but of <{root.tag}> and not of <opencv_storage>; give one of {_FORMATS}")
+    return _from_fields({element.tag: _xml_value(element) for element in root})
 
 
-def _node_value(key: str, node: cv2.FileNode) -> object:
-    """A node of FileStorage as an array, a list, a number or a string."""
-    if node.isMap():
-        try:
-            matrix = node.mat()
-        except cv2.error:
-            matrix = None
-        if matrix is None:
-            raise InputError(
-                f"key {key!r} is a broken matrix; its rows, cols and data must be numbers that agree"
-            )
-        return np.asarray(matrix, float)
-    if node.isSeq():
-        return [_node_value(key, node.at(i)) for i in range(node.size())]
-    if node.isInt() or node.isReal():
-        return node.real()
-    return node.string() if node.isString() else None
+def _xml_value(element: ElementTree.Element) -> object:
+    """A matrix as the mapping that YAML and JSON have for it, several words as a list, one word as it is."""
+    parts = {child.tag: (child.text or "").split() for child in element}
+    if parts:
+        return {tag: words if tag == "data" else " ".join(words) for tag, words in parts.items()}
+    words = (element.text or "").split()
+    return words[0] if len(words) == 1 else words
 
 
-def _from_ros(text: str) -> Camera:
-    """The camera of a ROS camera_info file, or of a dumped CameraInfo message."""
+class _YamlLoader(yaml.SafeLoader):
+    """YAML with OpenCV's tagged matrices as plain mappings.
+
+    cv2.FileStorage is not used to read: on damaged files it corrupts memory and takes the process along.
+    """
+
+
+def _opencv_mapping(loader: yaml.SafeLoader, _tag: str, node: yaml.Node) -> object:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, "expected a matrix", node.start_mark)
+    return loader.construct_mapping(node, deep=True)
+
+
+_YamlLoader.add_multi_constructor("tag:yaml.org,2002:opencv-", _opencv_mapping)
+
+
+def _from_yaml(text: str) -> Camera:
+    """The camera of OpenCV's YAML, a ROS camera_info file, or a dumped CameraInfo message."""
+    # OpenCV 4.x writes "%YAML:1.0", which is no YAML, and 5.0 "%YAML 1.2".
+    text = _YAML_HEADER.sub("", text.lstrip())
     try:
-        # PyYAML rejects FileStorage's "%YAML:1.0"; a message dump ends in "---", an empty second document.
-        content = next(iter(yaml.safe_load_all(_YAML_HEADER.sub("", text.lstrip()))), None)
+        # A dumped message ends in "---", an empty second document.
+        content = next(iter(yaml.load_all(text, _YamlLoader)), None)
     except (yaml.YAMLError, ValueError) as error:
-        place = " ".join(str(error).split())
-        raise InputError(
-            f"neither YAML nor another known format ({place}); give one of {_FORMATS}"
-        ) from error
+        place = shown(" ".join(str(error).split()), 150)
+        raise InputError(f"in no known format (as YAML: {place}); give one of {_FORMATS}") from error
     if not isinstance(content, dict):
         raise InputError(f"holds no keys of a camera; give one of {_FORMATS}")
     return _from_fields({str(key): value for key, value in content.items()})
@@ -223,8 +215,6 @@ def _from_fields(fields: Mapping[str, object]) -> Camera:
             f"key {name!r} must be a 3x3 matrix, got shape {' x '.join(map(str, matrix.shape))}; correct it"
         )
     K = matrix.reshape(3, 3)
-    if not np.isfinite(K).all():
-        raise InputError(f"key {name!r} holds a number that is not finite; calibrate again")
     if abs(K[0, 1]) > 1e-9 * abs(K[0, 0]) or K[1, 0] or list(K[2]) != [0, 0, 1]:
         raise InputError(
             f"key {name!r} must read fx 0 cx / 0 fy cy / 0 0 1: skew is not supported; got {K.tolist()}"
@@ -237,7 +227,7 @@ def _refuse_other_models(fields: Mapping[str, object]) -> None:
     found = find(fields, _MODEL)
     model = "" if found is None or fields[found] is None else str(fields[found]).strip()
     fisheye = find(fields, _FISHEYE)
-    if fisheye is not None and fields[fisheye] not in (None, 0, 0.0, False):
+    if fisheye is not None and str(fields[fisheye]) != "0":
         found, model = fisheye, "fisheye"
     if model.lower() not in _PLAIN_MODELS:
         raise InputError(

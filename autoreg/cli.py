@@ -35,9 +35,7 @@ _FolderOption = Annotated[
 
 @app.command("align")
 def align_command(
-    photo: Annotated[
-        Path, typer.Argument(metavar="PHOTO", help="The photo; put -- before a name that begins with -.")
-    ],
+    photo: Annotated[Path, typer.Argument(help="The photo; put -- before a name that begins with -.")],
     camera: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Camera: own JSON, OpenCV or ROS YAML, COLMAP.")
     ] = None,
@@ -106,12 +104,13 @@ def doctor() -> None:
             raise typer.Exit(1)
 
 
-def _show_version(wanted: bool) -> None:
+def _show_version(wanted: bool) -> bool:
     if wanted:
         import autoreg
 
         print(f"autoreg {autoreg.__version__}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()

@@ -12,6 +12,7 @@ _HORIZON = 1e3
 # Points per block of the Newton solve: small enough that all its arrays stay in the processor's cache.
 _BLOCK = 8192
 _TABLE_NODES = 1024
+_USUAL_STEPS = 5
 _MAX_STEPS = 60
 
 
@@ -96,13 +97,15 @@ def _newton(
     answer = np.full_like(guess, np.nan)
     todo = np.flatnonzero(np.isfinite(guess[0]))
     xy, goal = guess[:, todo], target[:, todo]
-    for _ in range(_MAX_STEPS):
+    for step_count in range(_MAX_STEPS):
         rx, ry, a, b, d = _residual_and_jacobian(xy, goal, dist)
         det = a * d - b * b
         step = np.stack([d * rx - b * ry, a * ry - b * rx]) / det
-        # Where the model is steep its own rounding exceeds the tolerance: there the step says when to stop.
-        small = np.abs(step).max(0) <= 4 * np.finfo(float).eps * np.abs(xy).max(0)
-        done = (np.maximum(np.abs(rx), np.abs(ry)) <= tolerance) | small
+        done = np.maximum(np.abs(rx), np.abs(ry)) <= tolerance
+        if step_count > _USUAL_STEPS:
+            # Where the model is steep its own rounding exceeds the tolerance; there the step says when to
+            # stop.
+            done |= np.abs(step).max(0) <= 4 * np.finfo(float).eps * np.abs(xy).max(0)
         # The Jacobian is symmetric, so the distortion is one-to-one on every convex set where it is also
         # positive definite: roots outside that field belong to the fold.
         inside = (xy[0] ** 2 + xy[1] ** 2 <= valid_radius**2) & (det > 0) & (a + d > 0)

@@ -17,12 +17,15 @@ MAX_ROLL_RAD = np.radians(50.0)
 STEEP_RAD = np.radians(25.0)
 # The longest so many segments find the candidates; all of them score the survivors.
 VOTERS = 350
+# Candidates looked at for repetitions, and candidates fitted; a longer list asked for finds no more.
+STARTED, FITTED = 192, 60
 # Joints this close to the horizon are too short to be seen as joints.
 MIN_DEPRESSION = 0.02
 # A plane seen more steeply than this may be a wall seen from the front as well.
 WALL_LIKE_RAD = np.radians(65.0)
-WALL_LIKE_RAMP_RAD = (float(np.radians(60.0)), float(np.radians(80.0)))
-WALL_LIKE_WORTH = 0.5
+# What a candidate's support is worth by how far the camera would look down: less where it may be a wall.
+PITCH_RAD = np.radians([60.0, 80.0])
+PITCH_WORTH = np.array([1.0, 0.5])
 # Two candidates whose directions both share this much of their segments (a cosine) are one.
 REPETITION = 0.8
 # Without a camera: long side / focal length spread about that of a 32 mm lens on 36 mm film.
@@ -109,9 +112,9 @@ def _search(
     fit = fit.take(np.flatnonzero(_possible(fit.R)))
     member = _members(voters, fit)
     _, score = _score(voters, fit, member, prior)
-    order = _both_kinds(fit.R, np.argsort(-score, kind="stable"), 16 * max_hypotheses)
+    order = _both_kinds(fit.R, np.argsort(-score, kind="stable"), STARTED)
     order = order[_distinct_frames(member[order], voters.weight, 0.95)]
-    fit = fit.take(_both_kinds(fit.R, order, 5 * max_hypotheses))
+    fit = fit.take(_both_kinds(fit.R, order, FITTED))
     fit_prior = None if prior is None else (prior[0], prior[1] / np.sqrt(SHARED_ERRORS))
     for _ in range(5):
         allowed = _below_horizon(voters, fit)
@@ -196,7 +199,7 @@ def _score(
     low, high = excess.min(1), excess.max(1)
     score = np.where(low > 0, low + 0.1 * high, 0.1 * low)
     pitch = np.arcsin(np.clip(-fit.R[:, 2, 2], -1.0, 1.0))
-    score = np.interp(pitch, WALL_LIKE_RAMP_RAD, (1.0, WALL_LIKE_WORTH)) * score
+    score = np.interp(pitch, PITCH_RAD, PITCH_WORTH) * score
     if prior is not None:
         mean, spread = prior
         score = score * np.exp(-0.5 * ((fit.log_focal - mean) / (2.5 * spread)) ** 2)

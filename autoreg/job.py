@@ -20,7 +20,7 @@ from autoreg.image import Photo, load_photo
 from autoreg.outputs import clear_results, usable_folder, write_png, write_whole
 from autoreg.overlay import overlay_picture
 from autoreg.render import EngineName, choose_engine, render
-from autoreg.report import Json, RenderReport, aligned_report, refused_report, report_text
+from autoreg.report import RenderReport, Report, aligned_report, refused_report, report_text
 from autoreg.scene import scene_text
 from autoreg.staging import demo_staging
 from autoreg.view import View
@@ -69,7 +69,7 @@ class Job:
 class Outcome:
     """How a run ended; `alignment` is None if the photo was refused."""
 
-    report: dict[str, Json]
+    report: Report
     alignment: Alignment | None
     refusal: Refusal | None
     render_error: RenderError | None
@@ -193,7 +193,7 @@ def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:
     return camera
 
 
-def _write_report(job: Job, report: dict[str, Json], *, fresh: bool = False) -> Path:
+def _write_report(job: Job, report: Report, *, fresh: bool = False) -> Path:
     job.folder.mkdir(parents=True, exist_ok=True)
     if fresh:
         clear_results(job.folder)

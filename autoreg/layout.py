@@ -34,6 +34,19 @@ def slab_centre(lattice: Lattice, i: int, j: int) -> Float[np.ndarray, "2"]:
     return np.array([(i + j * shift + 0.5) * slab_side_x(lattice), (j + 0.5) * lattice.spacing_y])
 
 
+def slab_at(lattice: Lattice, point: Float[np.ndarray, "2"]) -> tuple[int, int]:
+    """The slab (i, j) that a point of the ground lies on."""
+    j = int(np.floor(point[1] / lattice.spacing_y))
+    return int(np.floor(point[0] / slab_side_x(lattice) - j * (lattice.shift or 0.0))), j
+
+
+def was_seen(lattice: Lattice, point: Float[np.ndarray, "2"]) -> bool:
+    """Whether a point of the ground lies in the lattice's extent."""
+    _, low, high = _spans(lattice.extent, np.array([point[1]]))
+    (least, greatest) = lattice.extent[:, 1].min(), lattice.extent[:, 1].max()
+    return bool(least < point[1] < greatest and ((low < point[0]) & (point[0] < high)).any())
+
+
 def lay_joints(lattice: Lattice, within: Float[np.ndarray, "p 2"] | None = None) -> GroundJoints:
     """The lattice's joints inside a polygon of the ground (its own extent if none is given)."""
     polygon = lattice.extent if within is None else within

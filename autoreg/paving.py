@@ -11,20 +11,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.bond import BondHypothesis, bond_hypotheses
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
+from autoreg.image import pyramid
 from autoreg.periods import Comb, best_combs
 from autoreg.presence import Pattern, Presence, best_pattern, side_presence, with_origin
-from autoreg.rectify import Rectified, rectify
+from autoreg.rectify import near_reach, rectify
 from autoreg.refine import Fit, Free, refine
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
 
 # What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
-TESTED_NATS = 2 * float(np.log(400 * 48)) + float(np.log(24))
+TESTED_NATS = 2 * float(np.log(7000)) + float(np.log(24))
 # Chance of one false alarm in this many photos without a lattice.
 FALSE_ALARM_NATS = float(np.log(1000.0))
 # Sides of one unbroken line stand and fall together: a line counts as at most this many independent ones.
 INDEPENDENT_SIDES = 3.0
+# Beyond this margin no other start is tried.
+CERTAIN_NATS = 40.0
+# How much better a finer lattice must explain the sides between the joints.
+SUBDIVIDE_NATS = 6.0
+# Size of the first look, and its and the second look's numbers of rows on the ground.
+COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
+# Planes whose joints carry less than this are not worth another start.
+HOPELESS_NATS = 8.0
+# Old ground axes from those turned by a quarter: the new X axis is the old Y, the new Y the old -X.
+QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -46,8 +58,11 @@ class Paving:
 
     @property
     def margin_nats(self) -> float:
-        """Evidence beyond what the number of tested hypotheses demands."""
-        return sum(self.evidence_nats) - TESTED_NATS - FALSE_ALARM_NATS
+        """Evidence beyond what the number of tested hypotheses demands, of the weaker family in any case."""
+        return min(
+            sum(self.evidence_nats) - TESTED_NATS - FALSE_ALARM_NATS,
+            2.0 * (min(self.evidence_nats) - 0.5 * TESTED_NATS),
+        )
 
 
 @dataclass(frozen=True)
@@ -56,7 +71,6 @@ class PlaneCombs:
 
     camera: Camera
     R: Float[np.ndarray, "3 3"]
-    rectified: Rectified
     x: tuple[Comb, ...]
     y: tuple[Comb, ...]
 
@@ -66,99 +80,163 @@ class PlaneCombs:
         return sum(combs[0].score for combs in (self.x, self.y) if combs)
 
 
-def comb_plane(picture: np.ndarray, camera: Camera, R: Float[np.ndarray, "3 3"]) -> PlaneCombs | None:
-    """The joints of both families on a hypothesised ground."""
-    rectified = rectify(picture, camera, R)
-    if rectified is None:
-        return None
-    return PlaneCombs(camera, R, rectified, best_combs(rectified.x), best_combs(rectified.y))
+def comb_planes(
+    picture: np.ndarray, hypotheses: list[tuple[Camera, Float[np.ndarray, "3 3"]]]
+) -> list[PlaneCombs]:
+    """The joints of both families on each hypothesised ground, the planes with the clearest joints first.
+
+    The look is coarse: directions from segments, and lenses that bend the joints, leave lines some pixels
+    askew, which blurs a fine profile more than a coarse one.
+    """
+    coarse, _ = pyramid(picture, COARSE_PIXELS)
+    planes: list[PlaneCombs] = []
+    for camera, R in hypotheses:
+        rectified = rectify(coarse, camera.scaled(coarse.shape[1], coarse.shape[0]), R, size=COARSE_LINES)
+        if rectified is not None:
+            planes.append(PlaneCombs(camera, R, best_combs(rectified.x), best_combs(rectified.y)))
+    return sorted(planes, key=lambda plane: -plane.score)
 
 
-def lay_lattice(picture: Float[np.ndarray, "h w"], plane: PlaneCombs, *, free_focal: bool) -> Paving | None:
-    """The lattice on a plane whose two families of joints were found."""
-    if not plane.x or not plane.y:
-        return None
-    a, b = plane.y[0], plane.x[0]
-    start = Rigid(plane.R, plane.R @ np.array([a.phase, b.phase, -1.0]))
+def lay_lattice(picture: Float[np.ndarray, "h w"], plane: PlaneCombs, free: Free) -> Paving | None:
+    """The lattice on a plane, from whichever start explains the picture best.
+
+    Where both families repeat as whole lines, they are the start. A running bond seen from afar, or one with
+    an unusual shift, shows its cross joints only course by course.
+    """
+    best = None
+    if plane.x and plane.y:
+        best = _laid(picture, plane, _comb_start(plane.R, plane.x[0], plane.y[0]), free)
+    if best is not None and best.margin_nats > CERTAIN_NATS:
+        return best
+    if plane.score < HOPELESS_NATS:
+        return best
+    starts: list[tuple[Rigid, Grid]] = []
+    for view, size in ((pyramid(picture.astype(np.uint8), COARSE_PIXELS)[0], COARSE_LINES), (picture, FINE_LINES)):
+        camera = plane.camera.scaled(view.shape[1], view.shape[0])
+        near = rectify(view, camera, plane.R, reach=near_reach(camera, plane.R), size=size)
+        if near is None:
+            continue
+        starts += [_bond_start(plane.R, bond) for bond in bond_hypotheses(near, keep=2)]
+        pairs = [(b, a) for b in best_combs(near.x, count=2) for a in best_combs(near.y, count=2)]
+        starts += [_comb_start(plane.R, b, a) for b, a in sorted(pairs, key=lambda p: -p[0].score - p[1].score)[:2]]
+    for start in starts:
+        paving = _laid(picture, plane, start, free)
+        if paving is not None and (best is None or paving.margin_nats > best.margin_nats):
+            best = paving
+        if best is not None and best.margin_nats > CERTAIN_NATS:
+            break
+    return best
+
+
+def _comb_start(R: np.ndarray, b: Comb, a: Comb) -> tuple[Rigid, Grid]:
+    return Rigid(R, R @ np.array([a.phase, b.phase, -1.0])), Grid(a.spacing, b.spacing)
+
+
+def _bond_start(R: np.ndarray, bond: BondHypothesis) -> tuple[Rigid, Grid]:
+    pose = Rigid(R, R @ np.array([bond.origin[0], bond.origin[1], -1.0]))
+    return (Rigid(pose.R @ QUARTER_TURN, pose.t) if bond.turned else pose), bond.grid
+
+
+def _laid(picture: np.ndarray, plane: PlaneCombs, start: tuple[Rigid, Grid], free: Free) -> Paving | None:
+    pose, grid = start
     fit = refine(
         picture,
         plane.camera,
-        start,
-        Grid(a.spacing, b.spacing),
-        free=Free(ratio=True, focal=free_focal),
+        pose,
+        grid,
+        free=free,
         search=0.2,
         reaches=(2.5, 4.0, 7.0),
     )
-    if fit is None:
-        return None
-    return settle_bond(picture, fit)
+    return None if fit is None else settle_bond(picture, fit)
 
 
 def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
-    """The bond that the presence of the single sides shows, with the lattice's axes turned to suit it."""
-    for _ in range(4):
+    """The bond that the presence of the single sides shows, with the lattice's axes turned to suit it.
+
+    The lattice is coarsened where whole classes of its sides are absent, and refined where sides are found
+    between its joints.
+    """
+    for _ in range(6):
         presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
         if len(presence.p) < 6:
             return None
-        along_x, along_y = best_pattern(presence, ALONG_X)[0], best_pattern(presence, ALONG_Y)[0]
-        changed = _with_pattern(fit, along_x, along_y)
+        changed = with_pattern(fit, best_pattern(presence, ALONG_X)[0], best_pattern(presence, ALONG_Y)[0])
         if changed is None:
-            return Paving(fit, presence, _evidence(presence, fit.grid))
+            changed = _subdivided(picture, fit)
+        if changed is None:
+            break
         fit = changed
     return Paving(fit, presence, _evidence(presence, fit.grid))
 
 
-def _with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
+def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
+    """The fit with a finer lattice, if sides are there between the joints of the one it has."""
+    grid = fit.grid
+    if grid.spacing_x is None:
+        return None
+    for factor in (2, 3):
+        for family in (ALONG_X, ALONG_Y):
+            if grid.shift and family == ALONG_X:
+                continue
+            a = grid.spacing_x / (factor if family == ALONG_Y else 1)
+            b = grid.spacing_y / (factor if family == ALONG_X else 1)
+            fine = replace(fit, grid=Grid(a, b, (grid.shift * factor) % 1.0 if grid.shift else 0.0))
+            presence = side_presence(picture, fine.camera, fine.cam_from_ground, fine.grid, fine.strip)
+            best = best_pattern(presence, family)
+            known = next(p for p in best if (p.period, p.phase) == (factor, 0) and p.advance == _carry(grid, factor))
+            if best[0].score - known.score > SUBDIVIDE_NATS:
+                other = Pattern(1, 0, 0, 0.0)
+                x, y = (best[0], other) if family == ALONG_X else (other, best[0])
+                return with_pattern(fine, x, y) or fine
+    return None
+
+
+def _carry(grid: Grid, factor: int) -> int:
+    """How the columns of a lattice advance from row to row in the same lattice with finer columns."""
+    return -int(np.floor(grid.shift * factor)) % factor if grid.shift else 0
+
+
+def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
     """The fit with the lattice that a pattern of present sides means; None if it is the one it has."""
     grid, pose = fit.grid, fit.cam_from_ground
     a, b = grid.spacing_x, grid.spacing_y
-    if a is None or grid.shift:
+    if a is None or along_x.period == along_y.period == 1:
         return None
-    if along_x.period == along_y.period == 1:
+    if along_y.period > 1 and (grid.shift or along_x.period == 1 or along_y.advance == 0):
+        # Present are the columns phase + advance * row + k * period of each row.
+        shift = ((along_y.advance + grid.shift) / along_y.period) % 1.0
+        origin = with_origin(pose, along_y.phase * a, 0.0)
+        return replace(fit, grid=Grid(a * along_y.period, b, shift), cam_from_ground=origin)
+    if grid.shift:
         return None
-    if along_x.advance == 0 and along_x.period > 1:
-        return replace(
-            fit,
-            grid=Grid(a, b * along_x.period),
-            cam_from_ground=with_origin(pose, 0.0, along_x.phase * b),
-        )
-    if along_y.advance == 0 and along_y.period > 1:
-        return replace(
-            fit,
-            grid=Grid(a * along_y.period, b),
-            cam_from_ground=with_origin(pose, along_y.phase * a, 0.0),
-        )
-    if along_x.period == 1:
-        return replace(
-            fit,
-            grid=Grid(a * along_y.period, b, along_y.advance / along_y.period),
-            cam_from_ground=with_origin(pose, along_y.phase * a, 0.0),
-        )
-    if along_y.period == 1:
-        # The unbroken joints run along Y: the new X axis is Y, the new Y axis is -X. The new course 0 is
-        # the old column -1, hence the one advance in its phase.
-        moved = with_origin(pose, 0.0, (along_x.phase - along_x.advance) * b)
-        turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        shift = (-along_x.advance / along_x.period) % 1.0
-        return replace(
-            fit,
-            grid=Grid(b * along_x.period, a, shift),
-            cam_from_ground=Rigid(moved.R @ turn, moved.t),
-            strip=replace(fit.strip, width=(fit.strip.width[1], fit.strip.width[0])),
-        )
-    return None
+    if along_x.advance == 0:
+        origin = with_origin(pose, 0.0, along_x.phase * b)
+        return replace(fit, grid=Grid(a, b * along_x.period), cam_from_ground=origin)
+    if along_y.period > 1:
+        return None
+    # The unbroken joints run along Y: the new X axis is Y, the new Y axis is -X. The new course 0 is the old
+    # column -1, hence the one advance in its phase.
+    moved = with_origin(pose, 0.0, (along_x.phase - along_x.advance) * b)
+    shift = (-along_x.advance / along_x.period) % 1.0
+    return replace(
+        fit,
+        grid=Grid(b * along_x.period, a, shift),
+        cam_from_ground=Rigid(moved.R @ QUARTER_TURN, moved.t),
+        strip=replace(fit.strip, width=(fit.strip.width[1], fit.strip.width[0])),
+    )
 
 
 def _evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
     """Log likelihood ratio of the lattice, per family, with the sides of a line taken together."""
     total: list[float] = []
     for family in (ALONG_X, ALONG_Y):
-        rows = presence.sides.family == family
+        rows = np.flatnonzero(presence.sides.family == family)
         line = presence.sides.line[rows]
         if family == ALONG_Y and grid.shift:
             line = line * 10_000 + presence.sides.cell[rows]
         _, inverse = np.unique(line, return_inverse=True)
         count = np.bincount(inverse)
-        mean = np.bincount(inverse, weights=presence.llr[rows]) / np.maximum(count, 1)
+        mean = np.bincount(inverse, weights=presence.llr(rows)) / np.maximum(count, 1)
         total.append(float((mean * np.minimum(count, INDEPENDENT_SIDES)).sum()))
     return total[0], total[1]

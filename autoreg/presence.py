@@ -22,19 +22,26 @@ from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, Stations, visible_si
 # The controls lie between these shares of the spacing off the predicted joint. Few sides get many controls
 # each, so that the p-values are fine enough.
 CONTROL_RANGE = (0.25, 0.75)
-CONTROLS_WANTED, CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 1000, 24, 3
-# Share of true sides that cannot be seen, and how sharply the p-values of the others gather at zero.
-MISSED = 0.12
+CONTROLS_WANTED, CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 1500, 48, 3
+# How sharply the p-values of visible sides gather at zero, and shares of true sides that cannot be seen
+# (worn, overgrown, far, covered): the share that suits a photo best is taken.
 SHARPNESS = 0.2
+MISSED = (0.1, 0.25, 0.4, 0.55, 0.7)
+# Sides are compared with controls about as large in the picture.
+SIZE_BINS, BIN_AT_LEAST = 4, 25
 
 
 @dataclass(frozen=True)
 class Presence:
-    """Support of each side: `p` its p-value among the controls, `llr` the log likelihood ratio in nats."""
+    """Support of each side: `p` its p-value among the controls."""
 
     sides: Sides
     p: Float[np.ndarray, " n"]
-    llr: Float[np.ndarray, " n"]
+
+    def llr(self, rows: np.ndarray) -> Float[np.ndarray, " k"]:
+        """Log likelihood ratios in nats of some sides being there, for the share of missed ones that suits."""
+        options = [p_llr(self.p[rows], missed) for missed in MISSED]
+        return max(options, key=lambda llr: float(llr.sum()))
 
 
 def side_presence(
@@ -52,7 +59,7 @@ def side_presence(
     sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit)
     n = len(sides)
     if n == 0:
-        return Presence(sides, np.zeros(0), np.zeros(0))
+        return Presence(sides, np.zeros(0))
     across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
     middle, half = sides.ends.mean(1), 0.4 * np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1)
@@ -74,22 +81,23 @@ def side_presence(
     support = strip_support(profiles, np.minimum(width, 6.0), strip.blur_px, tolerance_px, np.clip(room, 3.0, 8.0))
     support = support.reshape(repeat, n)
     p = np.ones(n)
+    size = half * profiles.px_per_unit[:n]
     for family in (ALONG_X, ALONG_Y):
-        rows = np.flatnonzero(sides.family == family)
-        if len(rows) == 0:
-            continue
-        beside = np.sort(support[1:, rows].ravel())
-        above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
-        p[rows] = (1 + above) / (1 + len(beside))
-    return Presence(sides, p, p_llr(p))
+        members = np.flatnonzero(sides.family == family)
+        members = members[np.argsort(size[members], kind="stable")]
+        for rows in np.array_split(members, max(1, min(SIZE_BINS, len(members) // BIN_AT_LEAST))):
+            beside = np.sort(support[1:, rows].ravel())
+            above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
+            p[rows] = (1 + above) / (1 + len(beside))
+    return Presence(sides, p)
 
 
-def p_llr(p: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
     """Log likelihood ratio of a p-value: a Beta density that gathers at zero, or missed, against uniform.
 
     Its exponential has expectation one under the null, which makes the product over sides an e-value.
     """
-    return np.log((1 - MISSED) * SHARPNESS * p ** (SHARPNESS - 1) + MISSED)
+    return np.log((1 - missed) * SHARPNESS * p ** (SHARPNESS - 1) + missed)
 
 
 @dataclass(frozen=True)
@@ -112,14 +120,16 @@ def best_pattern(presence: Presence, family: int, periods: tuple[int, ...] = (1,
     Absent sides are held against a pattern that predicts them and for one that does not, so neither half
     nor twice the spacing can win.
     """
-    rows = presence.sides.family == family
-    line, cell, llr = presence.sides.line[rows], presence.sides.cell[rows], presence.llr[rows]
-    found = [
-        Pattern(m, q, r, float(llr[(line - cell * q) % m == r].sum()))
-        for m in periods
-        for q in range(m)
-        for r in range(m)
-    ]
+    rows = np.flatnonzero(presence.sides.family == family)
+    line, cell = presence.sides.line[rows], presence.sides.cell[rows]
+    by_missed = [p_llr(presence.p[rows], missed) for missed in MISSED]
+    found: list[Pattern] = []
+    for m in periods:
+        for q in range(m):
+            residue = (line - cell * q) % m
+            sums = np.max([np.bincount(residue, weights=llr, minlength=m) for llr in by_missed], axis=0)
+            # The more patterns of a period there are, the more of them succeed by chance.
+            found += [Pattern(m, q, r, float(sums[r] - 2 * np.log(m))) for r in range(m)]
     return sorted(found, key=lambda f: -f.score)
 
 

@@ -56,7 +56,8 @@ class PreviewEngine:
         step = (np.arange(16) + 0.5) / 16
         across, down = np.meshgrid(step, step)
         # Within one pixel the ground is as good as linear, so rays are cast through pixel corners only.
-        weights = np.stack([(1 - across) * (1 - down), across * (1 - down), (1 - across) * down, across * down])
+        left, up = 1 - across, 1 - down
+        weights = np.stack([left * up, across * up, left * down, across * down])
         for mark in marks_ground:
             px = view.project(mark)
             if not np.isfinite(px).all():

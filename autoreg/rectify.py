@@ -156,3 +156,13 @@ def line_support(family: Family, edges: np.ndarray) -> tuple[np.ndarray, np.ndar
     a, b = edges[:-1], edges[1:]
     total = np.abs(sums[:, b] - sums[:, a])
     return total / np.sqrt(squares[:, b] - squares[:, a] + 0.3), counts[:, b] - counts[:, a]
+
+
+def near_reach(camera: Camera, R: Float[np.ndarray, "3 3"], beyond: float = 2.0) -> float:
+    """How far the nearest ground of a picture lies from the camera's foot, and `beyond` more, in heights."""
+    axes = np.linspace(0, camera.width - 1, 21), np.linspace(0, camera.height - 1, 21)
+    rays = camera.unproject(np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)) @ R
+    down = np.isfinite(rays).all(1) & (rays[:, 2] < -1e-3)
+    if not down.any():
+        return beyond
+    return float(np.min(np.linalg.norm(rays[down, :2], axis=1) / -rays[down, 2])) + beyond

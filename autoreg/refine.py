@@ -34,25 +34,30 @@ class Free:
     ratio: bool = False
     focal: bool = False
     centre: bool = False
+    radial: bool = False
     nominal: Camera | None = None
     focal_sigma: float = np.inf
     centre_sigma_px: float = np.inf
+    radial_sigma: float = np.inf
 
     @property
-    def mask(self) -> Float[np.ndarray, "10"]:
+    def mask(self) -> Float[np.ndarray, " p"]:
         """Ones for the free parameters."""
         mask = np.zeros(PARAMETERS)
         mask[:6] = 1.0
-        mask[terms.RATIO], mask[terms.FOCAL], mask[terms.CENTRE] = self.ratio, self.focal, self.centre
+        mask[terms.RATIO], mask[terms.FOCAL] = self.ratio, self.focal
+        mask[terms.CENTRE], mask[terms.RADIAL] = self.centre, self.radial
         return mask
 
     def prior(self, camera: Camera) -> Prior:
         """What is known of a solve's parameters when it starts from `camera`: the nominal one is meant."""
         mean, sigma = np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)
         sigma[terms.FOCAL], sigma[terms.CENTRE] = self.focal_sigma, self.centre_sigma_px
+        sigma[terms.RADIAL] = self.radial_sigma
         if self.nominal is not None:
             mean[terms.FOCAL] = np.log(self.nominal.fx / camera.fx)
             mean[terms.CENTRE] = self.nominal.cx - camera.cx, self.nominal.cy - camera.cy
+            mean[terms.RADIAL] = self.nominal.dist[0] - camera.dist[0]
         return Prior(mean, sigma)
 
 
@@ -321,7 +326,7 @@ def joint_data(
         R=pose.R,
         t=pose.t,
         intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.dist]),
-        scale=np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, camera.fx, camera.fx]),
+        scale=np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, camera.fx, camera.fx, 1.0]),
     )
 
 
@@ -361,11 +366,14 @@ def moved_pose(pose: Rigid, solution: Solution) -> Rigid:
 def moved_camera(camera: Camera, solution: Solution) -> Camera:
     """The camera after a solve."""
     p = solution.parameters
+    if not p[terms.FOCAL :].any():
+        return camera
     focal = float(np.exp(p[terms.FOCAL]))
     dx, dy = (float(v) for v in p[terms.CENTRE])
-    if focal == 1.0 and dx == 0.0 and dy == 0.0:
-        return camera
-    return replace(camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + dx, cy=camera.cy + dy)
+    dist = (camera.dist[0] + float(p[terms.RADIAL]), *camera.dist[1:])
+    return replace(
+        camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + dx, cy=camera.cy + dy, dist=dist
+    )
 
 
 def stretched(grid: Grid, solution: Solution) -> Grid:

@@ -8,6 +8,7 @@ import platform
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from autoreg.errors import Refusal
 
 SCHEMA_VERSION = 1
 
-Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
+# What json.dumps takes: strings, numbers, booleans, null, and lists and objects of them.
+Report = dict[str, Any]
 
 # Distributions whose versions can change a result. OpenCV has several names on the package index.
 _PACKAGES = {
@@ -41,7 +43,7 @@ class RenderReport:
     check: RenderCheck | None
 
 
-def aligned_report(photo: Path, alignment: Alignment, render: RenderReport | None) -> dict[str, Json]:
+def aligned_report(photo: Path, alignment: Alignment, render: RenderReport | None) -> Report:
     """The report on an aligned photo."""
     camera, lattice, pose = alignment.camera, alignment.lattice, alignment.pose
     return {
@@ -91,9 +93,7 @@ def aligned_report(photo: Path, alignment: Alignment, render: RenderReport | Non
     }
 
 
-def refused_report(
-    photo: Path, width: int, height: int, refusal: Refusal, camera: Camera | None
-) -> dict[str, Json]:
+def refused_report(photo: Path, width: int, height: int, refusal: Refusal, camera: Camera | None) -> Report:
     """The report on a photo that could not be aligned; what is not known is null.
 
     Args:
@@ -129,14 +129,14 @@ def refused_report(
     }
 
 
-def report_text(report: dict[str, Json]) -> str:
+def report_text(report: Report) -> str:
     """The report as JSON text, in ASCII so that any terminal and any file system's names survive it."""
     return json.dumps(report, indent=1, allow_nan=False) + "\n"
 
 
-def versions() -> dict[str, Json]:
+def versions() -> Report:
     """Versions of autoreg and of what its results rest on; null for what is not installed as a package."""
-    found: dict[str, Json] = {"python": platform.python_version()}
+    found: Report = {"python": platform.python_version()}
     for name, distributions in _PACKAGES.items():
         found[name] = next((v for v in map(_version, distributions) if v is not None), None)
     return found
@@ -149,15 +149,15 @@ def _version(distribution: str) -> str | None:
         return None
 
 
-def _image(photo: Path, width: int, height: int) -> dict[str, Json]:
+def _image(photo: Path, width: int, height: int) -> Report:
     return {"path": str(photo), "width": width, "height": height}
 
 
-def _camera(camera: Camera, source: str) -> dict[str, Json]:
+def _camera(camera: Camera, source: str) -> Report:
     return {"K": _plain(camera.K), "dist": [_plain(k) for k in camera.dist], "source": source}
 
 
-def _render(render: RenderReport) -> dict[str, Json]:
+def _render(render: RenderReport) -> Report:
     check = render.check
     return {
         "engine": render.engine,
@@ -168,7 +168,7 @@ def _render(render: RenderReport) -> dict[str, Json]:
     }
 
 
-def _plain(value: np.ndarray | float | None) -> Json:
+def _plain(value: np.ndarray | float | None) -> Any:
     """Plain JSON numbers; what is not finite becomes null, which strict JSON readers accept."""
     if value is None:
         return None

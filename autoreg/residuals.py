@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 # Parameters: rotation vector (rad) and translation of a small motion on the camera's side, logarithm of the
-# spacing ratio, logarithm of the focal length, principal point (px).
-PARAMETERS = 10
-ROTATION, TRANSLATION, RATIO, FOCAL, CENTRE = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10)
+# spacing ratio, logarithm of the focal length, principal point (px), first radial distortion coefficient.
+PARAMETERS = 11
+ROTATION, TRANSLATION, RATIO, FOCAL, CENTRE, RADIAL = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10), 10
 
 
 class JointData(NamedTuple):
@@ -29,7 +29,7 @@ class JointData(NamedTuple):
     R: Float[Array, "3 3"]
     t: Float[Array, "3"]
     intrinsics: Float[Array, "12"]
-    scale: Float[Array, "10"]
+    scale: Float[Array, " p"]
 
 
 def project(intrinsics: Float[Array, "12"], points_cam: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
@@ -53,14 +53,14 @@ def rotate(vector: Float[Array, "3"], points: Float[Array, "n 3"]) -> Float[Arra
     return points + s * once + c * jnp.cross(vector, once)
 
 
-def joint_distances(parameters: Float[Array, "10"], data: JointData) -> Float[Array, " n"]:
+def joint_distances(parameters: Float[Array, " p"], data: JointData) -> Float[Array, " n"]:
     """Signed distance in pixels, across the joint, of each projected joint from where it was measured."""
     p = parameters * data.scale
     stretch = jnp.array([jnp.exp(0.5 * p[RATIO]), jnp.exp(-0.5 * p[RATIO])])
     ground = data.ground * stretch
     cam = rotate(p[ROTATION], ground @ data.R[:, :2].T + data.t) + p[TRANSLATION]
     focal = jnp.exp(p[FOCAL])
-    intrinsics = data.intrinsics.at[:2].multiply(focal).at[2:4].add(p[CENTRE])
+    intrinsics = data.intrinsics.at[:2].multiply(focal).at[2:4].add(p[CENTRE]).at[4].add(p[RADIAL])
     return ((project(intrinsics, cam) - data.measured_px) * data.normal).sum(-1)
 
 
@@ -72,6 +72,6 @@ def robust(r: Float[Array, " n"]) -> Float[Array, " n"]:
     return r * jnp.where(small, 1.0 - 0.25 * square, jnp.sqrt(jnp.log1p(safe) / safe))
 
 
-def joint_residuals(parameters: Float[Array, "10"], data: JointData) -> Float[Array, " n"]:
+def joint_residuals(parameters: Float[Array, " p"], data: JointData) -> Float[Array, " n"]:
     """Robust weighted distances; `weight` is one over the distance at which a joint is doubted."""
     return robust(joint_distances(parameters, data) * data.weight)

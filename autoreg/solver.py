@@ -35,8 +35,8 @@ Outcome = Literal["converged", "stalled", "diverged"]
 class Prior:
     """Gaussian knowledge of the parameters; an infinite `sigma` is none."""
 
-    mean: Float[np.ndarray, "10"]
-    sigma: Float[np.ndarray, "10"]
+    mean: Float[np.ndarray, " p"]
+    sigma: Float[np.ndarray, " p"]
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ class Solution:
     """
 
     outcome: Outcome
-    parameters: Float[np.ndarray, "10"]
+    parameters: Float[np.ndarray, " p"]
     cost: float
     distances_px: Float[np.ndarray, " n"]
-    jacobian: Float[np.ndarray, "n 10"]
+    jacobian: Float[np.ndarray, "n p"]
 
 
 @jax.jit
-def _solve(data: JointData, free: Float[Array, "10"], prior: tuple[Array, Array]) -> tuple[Array, ...]:
+def _solve(data: JointData, free: Float[Array, " p"], prior: tuple[Array, Array]) -> tuple[Array, ...]:
     def residual(p: Array, data: JointData) -> Array:
         return jnp.concatenate([joint_residuals(p * free, data), prior[1] * (p - prior[0])])
 
@@ -84,7 +84,7 @@ def _solve(data: JointData, free: Float[Array, "10"], prior: tuple[Array, Array]
 
 
 def solve_joints(
-    data: JointData, free: Float[np.ndarray, "10"], prior: Prior | None = None
+    data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None
 ) -> Solution:
     """Pose (and what else `free` marks with ones) that lays the projected joints on the measured ones.
 

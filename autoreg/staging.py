@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.lattice import Lattice
-from autoreg.layout import slab_centre, slab_side_x
+from autoreg.layout import slab_at, slab_centre, slab_side_x, was_seen
 from autoreg.view import View
 
 RGB = tuple[float, float, float]
@@ -77,12 +77,14 @@ def shadow_corners(solid: Solid, light: Light) -> Float[np.ndarray, "8 3"]:
 
 
 def demo_staging(view: View, lattice: Lattice) -> Staging:
-    """A block with a ball on it on slab (0, 0), lit from behind the camera's left shoulder.
+    """A block with a ball on it near the middle of the picture, lit from behind the camera's left shoulder.
 
     The block is as long as a whole number of slabs, or that part of one, that makes it about a seventh
     of the picture high.
     """
-    slab = (0, 0)
+    # A little below the middle, where the ground is; slab (0, 0) if no paving was seen there.
+    wish = view.ground_under(np.array([0.5 * view.camera.width, 0.65 * view.camera.height]))
+    slab = slab_at(lattice, wish) if np.isfinite(wish).all() and was_seen(lattice, wish) else (0, 0)
     short = min(slab_side_x(lattice), lattice.spacing_y)
     depth = view.cam_from_ground.apply(np.append(slab_centre(lattice, *slab), 0.0))[2]
     wanted = view.camera.height / 7 * max(float(depth), 0.1 * abs(view.eye[2])) / view.camera.fy

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -108,7 +108,7 @@ def visible_sides(
     border_px: float = 2.0,
     limit: int = 6000,
 ) -> Sides:
-    """Sides that lie wholly in the picture and whose slab measures at least `min_px` both ways."""
+    """Sides in the picture, cut to it, whose slab measures at least `min_px` both ways."""
     ground = visible_ground(camera, cam_from_ground, reach)
     if len(ground) < 8:
         return slab_sides(grid, np.zeros(2), np.full(2, -1.0)).take(np.zeros(0, dtype=int))
@@ -125,20 +125,40 @@ def visible_sides(
     middle = sides.ends.mean(1)
     near = np.linalg.norm(middle - eye[:2], axis=1) < reach * eye[2]
     sides = sides.take(np.flatnonzero(near))
-    px = project_ground(camera, cam_from_ground, sides.ends)
+    sides, px = _clipped(sides, camera, cam_from_ground, border_px)
     # The slab across the side, seen from the side's middle.
     across = np.where(sides.family[:, None] == ALONG_X, [[0.0, grid.spacing_y]], [[a, 0.0]])
     beside = project_ground(camera, cam_from_ground, sides.ends.mean(1) + across)
     with np.errstate(invalid="ignore"):
-        inside = (px > border_px).all((1, 2)) & (px < [camera.width - 1 - border_px, camera.height - 1 - border_px]).all((1, 2))
         along = px[:, 1] - px[:, 0]
         length = np.linalg.norm(along, axis=1)
         off = beside - px.mean(1)
         width = np.abs(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]) / np.maximum(length, 1e-9)
-        good = np.flatnonzero(inside & (length >= min_px) & (width >= min_px))
+        good = np.flatnonzero((length >= min_px) & (width >= min_px))
     if len(good) > limit:
         good = np.sort(good[np.argsort(-np.minimum(length, width)[good], kind="stable")[:limit]])
     return sides.take(good)
+
+
+def _clipped(
+    sides: Sides, camera: Camera, cam_from_ground: Rigid, border_px: float, pieces: int = 8, least: float = 0.45
+) -> tuple[Sides, Float[np.ndarray, "n 2 2"]]:
+    """The sides cut to the picture, and their ends there; those of which less than `least` is seen are left out."""
+    fraction = np.linspace(0.0, 1.0, pieces + 1)
+    start, along = sides.ends[:, :1], sides.ends[:, 1:] - sides.ends[:, :1]
+    px = project_ground(camera, cam_from_ground, start + fraction[:, None] * along)
+    with np.errstate(invalid="ignore"):
+        inside = (px > border_px) & (px < [camera.width - 1 - border_px, camera.height - 1 - border_px])
+    inside = inside.all(-1)
+    first, last = inside.argmax(1), pieces - inside[:, ::-1].argmax(1)
+    # A side that leaves the picture and comes back is none of a pinhole's; a lens may do that at its rim.
+    whole = inside.sum(1) == last - first + 1
+    kept = np.flatnonzero(inside.any(1) & whole & (last - first >= least * pieces))
+    cut = np.stack([fraction[first[kept]], fraction[last[kept]]], 1)
+    ends = start[kept] + cut[:, :, None] * along[kept]
+    rows = np.arange(len(kept))
+    clipped = replace(sides.take(kept), ends=ends)
+    return clipped, np.stack([px[kept][rows, first[kept]], px[kept][rows, last[kept]]], 1)
 
 
 @dataclass(frozen=True)

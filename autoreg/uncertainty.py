@@ -33,8 +33,8 @@ class CameraCheck:
 
 
 def parameter_covariance(
-    fit: Fit, mask: Float[np.ndarray, "10"], prior: Prior
-) -> Float[np.ndarray, "10 10"]:
+    fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior
+) -> Float[np.ndarray, "p p"]:
     """Covariance of the solve's parameters by the sandwich estimator, clustered by slab; zero where frozen.
 
     Joints that share a slab share its displacement. The scores of all stations are therefore summed per

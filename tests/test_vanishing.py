@@ -173,7 +173,7 @@ def test_lines_above_the_horizon_are_no_ground():
 
 
 def test_a_lens_that_bends_lines_does_no_harm():
-    bent = Camera(1600, 1200, 1150.0, 1150.0, 817.0, 598.0, (-0.15, 0.03, 0.0004, -0.0003, 0, 0, 0, 0))
+    bent = Camera(1600, 1200, 1150.0, 1150.0, 817.0, 598.0, (-0.15, 0.03, 0.0004, -0.0003, 0.0))
     R = looking(50.0, 30.0)
     found = ground_planes(as_segments(floor_lines(bent, R, pieces=2)), bent)
     assert quarter_turn_error_deg(found[0].R, R) < 0.1

@@ -1,0 +1,294 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from handmade import CAMERA, RUNNING, alignment, distorted, photo_for
+from typer.testing import CliRunner
+
+import autoreg.align
+from autoreg import job, povray
+from autoreg.cli import app
+from autoreg.errors import InputError, Refusal
+from autoreg.outputs import write_whole
+
+ALWAYS = {"alignment.json", "overlay.png", "scene.pov", "scene-photo.png"}
+
+
+@pytest.fixture
+def photo(tmp_path, monkeypatch):
+    """A photo in the working folder, and no compiling in the background."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(job, "_warm_up", lambda: None)
+    cv2.imwrite("photo.png", photo_for(CAMERA))
+    return Path("photo.png")
+
+
+@pytest.fixture
+def aligned(monkeypatch):
+    """The pipeline answers with a running bond; what it was asked for is kept."""
+    asked = {}
+
+    def align(gray, camera, **options):
+        asked.update(options, shape=gray.shape, camera=camera)
+        return alignment(RUNNING)
+
+    monkeypatch.setattr(autoreg.align, "align", align)
+    return asked
+
+
+def refusing(error):
+    def align(*_, **__):
+        raise error
+
+    return align
+
+
+def run(*arguments):
+    done = CliRunner().invoke(app, [str(a) for a in arguments])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done
+
+
+def files(folder):
+    return {path.name for path in Path(folder).iterdir()}
+
+
+def test_an_aligned_photo_exits_0_and_writes_beside_the_working_folder(photo, aligned):
+    done = run("align", photo, "--slab", "0.3x0.6")
+    assert done.exit_code == 0, done.stderr
+    assert files("photo.png.autoreg") == ALWAYS
+    assert json.loads(Path("photo.png.autoreg/alignment.json").read_text())["status"] == "aligned"
+    assert aligned["slab"] == (0.3, 0.6)
+    assert aligned["camera_height"] is None
+    assert aligned["shape"] == (480, 640)
+    assert done.stdout == ""
+    assert "0.6 x 0.3 m" in done.stderr
+
+
+def test_json_prints_the_report_and_nothing_else(photo, aligned):
+    done = run("align", photo, "--json", "-o", "out")
+    assert done.stdout == Path("out/alignment.json").read_text()
+    assert "wrote" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "name", ["a b.png", "it's.png", 'say "x".png', "Straße Ω.png", "[red]x.png", "a;b $(c).png"]
+)
+def test_any_file_name_is_taken_as_it_is(photo, aligned, name):
+    photo.rename(name)
+    done = run("align", name, "--render", "--engine", "preview")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(Path(f"{name}.autoreg/alignment.json").read_text())["image"]["path"] == name
+
+
+def test_a_name_that_begins_with_a_dash_goes_after_two_dashes(photo, aligned):
+    photo.rename("-photo.png")
+    assert run("align", "--", "-photo.png").exit_code == 0
+    assert files("-photo.png.autoreg") == ALWAYS
+
+
+def test_a_refusal_exits_3_with_the_reason_and_leaves_no_other_file(photo, aligned, monkeypatch):
+    assert run("align", photo, "-o", "out", "--render", "--engine", "preview").exit_code == 0
+    refusal = Refusal("too_few_joints", "only 2 joints are seen; step back", measured=2.0, limit=4.0)
+    monkeypatch.setattr(autoreg.align, "align", refusing(refusal))
+    done = run("align", photo, "-o", "out", "--json")
+    assert done.exit_code == 3
+    assert files("out") == {"alignment.json"}
+    report = json.loads(done.stdout)
+    assert (report["status"], report["reason"]["code"]) == ("refused", "too_few_joints")
+    assert "only 2 joints are seen; step back" in done.stderr
+    assert "measured 2, limit 4" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["missing.png"],
+        ["photo.png", "--slab", "0.6xx"],
+        ["photo.png", "--slab", "0.6", "--camera-height", "1.5"],
+        ["photo.png", "--camera-height", "-1"],
+        ["photo.png", "--camera-height", "high"],
+        ["photo.png", "--crop", "0,0,10,10"],
+        ["photo.png", "--camera", "missing.json"],
+        ["photo.png", "--camera", "broken.json"],
+        ["photo.png", "--camera", "small.json"],
+        ["photo.png", "--engine", "preview"],
+        ["photo.png", "--render", "--engine", "blender"],
+        ["photo.png", "-o", "photo.png"],
+        ["photo.png", "-o", "photo.png/below"],
+        ["photo.png", "--unknown"],
+        ["empty.png"],
+        ["notes.txt"],
+        ["."],
+    ],
+)
+def test_bad_input_exits_2_in_words_and_writes_nothing(photo, aligned, arguments):
+    Path("empty.png").touch()
+    Path("notes.txt").write_text("not a picture")
+    Path("broken.json").write_text('{"width": 640')
+    Path("small.json").write_text(
+        json.dumps({"width": 100, "height": 99, "fx": 90, "fy": 90, "cx": 50, "cy": 50, "dist": []})
+    )
+    before = files(".")
+    done = run("align", *arguments)
+    assert done.exit_code == 2
+    assert files(".") == before
+    assert len(done.stderr) > 20
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+
+
+def test_a_camera_reaches_the_pipeline_fitted_to_the_photo(photo, aligned):
+    twice = {"width": 1280, "height": 960, "fx": 1200, "fy": 1202, "cx": 639.5, "cy": 479.5, "dist": [0.1]}
+    Path("camera.json").write_text(json.dumps(twice | {"dist": [0.1, 0, 0, 0, 0]}))
+    done = run("align", photo, "--camera", "camera.json")
+    assert done.exit_code == 0, done.stderr
+    assert (aligned["camera"].width, aligned["camera"].fx) == (640, 600)
+    assert "scaled" in done.stderr
+
+
+def test_a_contradicted_camera_is_said_loudly(photo, monkeypatch):
+    monkeypatch.setattr(autoreg.align, "align", lambda *_, **__: alignment(consistent=False))
+    done = run("align", photo, "-o", "out")
+    assert done.exit_code == 0
+    assert "WARNING: the photo's own joints contradict the given camera" in done.stderr
+    assert "650 px (± 12); the camera says 610 px" in done.stderr
+    assert json.loads(Path("out/alignment.json").read_text())["camera"]["consistent"] is False
+
+
+def test_render_adds_two_pictures_and_its_check(photo, aligned):
+    done = run("align", photo, "-o", "out", "--render", "--engine", "preview")
+    assert done.exit_code == 0, done.stderr
+    assert files("out") == ALWAYS | {"render.png", "composite.png"}
+    made = json.loads(Path("out/alignment.json").read_text())["render"]
+    assert made["engine"] == "preview"
+    assert made["files"] == ["render.png", "composite.png"]
+    assert made["check"]["rms_px"] < 0.05
+    layer = cv2.imread("out/render.png", cv2.IMREAD_UNCHANGED)
+    composite = cv2.imread("out/composite.png")
+    original = cv2.imread("photo.png")
+    clear = layer[..., 3] == 0
+    assert layer.shape == (480, 640, 4)
+    assert 500 < (~clear).sum() < 640 * 480 / 2
+    assert (composite[clear] == original[clear]).all()
+    assert (composite[~clear] != original[~clear]).mean() > 0.5
+
+
+def test_insisting_on_a_missing_engine_exits_4_and_writes_all_else(photo, aligned, monkeypatch):
+    monkeypatch.setattr(povray, "find_povray", lambda: None)
+    done = run("align", photo, "-o", "out", "--render", "--engine", "povray")
+    assert done.exit_code == 4
+    assert files("out") == ALWAYS
+    assert json.loads(Path("out/alignment.json").read_text())["render"] is None
+    assert "not installed" in done.stderr
+
+
+def test_without_povray_auto_says_that_it_renders_a_preview(photo, aligned, monkeypatch):
+    monkeypatch.setattr(povray, "find_povray", lambda: None)
+    done = run("align", photo, "-o", "out", "--render")
+    assert done.exit_code == 0
+    assert "POV-Ray is not installed" in done.stderr
+    assert json.loads(Path("out/alignment.json").read_text())["render"]["engine"] == "preview"
+
+
+def test_a_distorted_lens_gets_an_undistorted_backdrop(photo, monkeypatch):
+    monkeypatch.setattr(autoreg.align, "align", lambda *_, **__: alignment(camera=distorted()))
+    assert run("align", photo, "-o", "out").exit_code == 0
+    assert files("out") == {"alignment.json", "overlay.png", "scene.pov", "scene-undistorted.png"}
+    assert '"scene-undistorted.png"' in Path("out/scene.pov").read_text()
+
+
+def test_the_scene_without_distortion_names_the_untouched_photo(photo, aligned):
+    assert run("align", photo, "-o", "out").exit_code == 0
+    assert (cv2.imread("out/scene-photo.png") == cv2.imread("photo.png")).all()
+
+
+def test_ctrl_c_exits_130_with_nothing_half_written(photo, aligned, monkeypatch):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(job, "overlay_picture", interrupt)
+    done = run("align", photo, "-o", "out")
+    assert done.exit_code == 130
+    assert not Path("out").exists()
+
+
+def test_a_full_disk_is_said_in_one_line(photo, aligned, monkeypatch):
+    def full(path, content):
+        if path.name == "scene.pov":
+            raise OSError(28, "No space left on device")
+        return write_whole(path, content)
+
+    monkeypatch.setattr(job, "write_whole", full)
+    done = run("align", photo, "-o", "out")
+    assert done.exit_code == 2
+    assert "No space left on device" in done.stderr
+    assert not [name for name in files("out") if name.endswith(".part")]
+    assert "alignment.json" not in files("out")
+
+
+def test_an_input_error_from_the_pipeline_exits_2(photo, monkeypatch):
+    monkeypatch.setattr(autoreg.align, "align", refusing(InputError("the slab and the camera do not fit")))
+    done = run("align", photo, "-o", "out")
+    assert done.exit_code == 2
+    assert "do not fit" in done.stderr
+    assert not Path("out").exists()
+
+
+def test_the_command_shows_its_version():
+    done = run("--version")
+    assert done.exit_code == 0
+    assert done.stdout.startswith("autoreg ")
+
+
+def test_the_module_runs_as_the_command_and_a_users_mistake_shows_no_traceback(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "autoreg", "align", "no such photo.jpg"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[1])},
+    )
+    assert done.returncode == 2
+    assert "no such photo.jpg" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGINT") or os.name == "nt", reason="needs POSIX signals")
+def test_a_real_interrupt_ends_the_process_with_130(tmp_path):
+    rng = np.random.default_rng(0)
+    cv2.imwrite(str(tmp_path / "photo.png"), rng.integers(0, 255, (900, 1200)).astype(np.uint8))
+    code = (
+        "import sys, time, autoreg.job\n"
+        "autoreg.job._warm_up = lambda: None\n"
+        "autoreg.job.load_photo = lambda path: (print('begun', flush=True), time.sleep(60))\n"
+        "from autoreg.cli import main\n"
+        "sys.argv = ['autoreg', 'align', 'photo.png']\n"
+        "main()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[1])},
+    )
+    assert process.stdout.readline() == "begun\n"
+    time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert [p.name for p in tmp_path.iterdir()] == ["photo.png"]

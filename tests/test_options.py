@@ -1,0 +1,43 @@
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from autoreg.errors import InputError
+from autoreg.options import parse_crop, parse_height, parse_slab
+
+sides = st.floats(1e-3, 1e3)
+
+
+@settings(deadline=None, derandomize=True)
+@given(sides, sides, st.sampled_from("xX×"))
+def test_two_sides_are_read_as_written(a, b, times):
+    assert parse_slab(f"{a}{times}{b}") == (a, b)
+
+
+def test_one_number_is_a_square():
+    assert parse_slab("0.5") == (0.5, 0.5)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x", "0.6x", "0x0.4", "-1x2", "1x2x3", "nanx1", "infx1", "a", "0,6x0,4", "60cm"]
+)
+def test_what_is_no_slab_is_an_input_error_that_quotes_it(text):
+    with pytest.raises(InputError, match="--slab wants metres") as caught:
+        parse_slab(text)
+    assert repr(text) in str(caught.value)
+
+
+def test_a_crop_is_four_whole_numbers():
+    assert parse_crop("10, 20,300,400") == (10, 20, 300, 400)
+
+
+@pytest.mark.parametrize("text", ["", "1,2,3", "1,2,3,4,5", "1.5,2,3,4", "-1,2,3,4", "1,2,0,4", "a,b,c,d"])
+def test_what_is_no_crop_is_an_input_error(text):
+    with pytest.raises(InputError, match="--crop"):
+        parse_crop(text)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.5, float("nan"), float("inf")])
+def test_a_height_is_positive(value):
+    with pytest.raises(InputError, match="--camera-height"):
+        parse_height(value)
