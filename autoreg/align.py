@@ -21,6 +21,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
 from autoreg.paving import Paving, comb_planes, lay_lattice, settle_bond
+from autoreg.presence import field_polygon
 from autoreg.refine import Fit, Free, refine_until_still
 from autoreg.segments import detect_segments
 from autoreg.uncertainty import check_camera, pose_covariance
@@ -107,7 +108,7 @@ def find_paving(gray: np.ndarray, camera: Camera | None) -> Paving:
             (h.R, Camera.from_focal(width, height, focal))
             for h, focal in ground_planes_unknown_focal(segments, width, height, max_hypotheses=12)
         ]
-    ranked = comb_planes(small, [(c.scaled(small.shape[1], small.shape[0]), R) for R, c in hypotheses])
+    ranked = comb_planes(small, segments, [(c, R) for R, c in hypotheses], free_focal=camera is None)
     free = Free(ratio=True) if camera is not None else Free(True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA)
     found = [lay_lattice(picture, plane, free) for plane in ranked[:3]]
     pavings = sorted((p for p in found if p is not None), key=lambda p: -p.margin_nats)
@@ -129,6 +130,7 @@ def measure(gray: np.ndarray, paving: Paving, slab: tuple[float, float] | None, 
         free=free,
         search=0.04,
         reach=12.0,
+        field=field_polygon(paving.presence),
     )
     if fit is None:
         raise _no_lattice(None)

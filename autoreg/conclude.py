@@ -12,12 +12,9 @@ from autoreg.alignment import JointFit, Residual
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice, LatticeKind
-from autoreg.presence import Presence
+from autoreg.presence import PRESENT, Presence, field_polygon
 from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
-
-# Sides whose p-value is below this are there.
-PRESENT = 0.2
 
 
 @dataclass(frozen=True)
@@ -73,23 +70,6 @@ def canonical_frame(fit: Fit, presence: Presence) -> Frame:
     return Frame(turns, np.array([float(x), j * b]))
 
 
-def extent_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:
-    """Hull of the largest field of sides that are there: sides with few present neighbours are left out."""
-    middle = presence.sides.ends.mean(1)
-    there = presence.p < PRESENT
-    from scipy.spatial import ConvexHull, cKDTree
-
-    length = float(np.median(np.linalg.norm(presence.sides.ends[:, 1] - presence.sides.ends[:, 0], axis=1)))
-    tree = cKDTree(middle)
-    near = tree.query_ball_point(middle, 1.6 * length)
-    share = np.array([there[n].mean() for n in near])
-    field = there & (share > 0.4)
-    if field.sum() < 4:
-        field = there
-    points = presence.sides.ends[field].reshape(-1, 2)
-    return points[ConvexHull(points).vertices]
-
-
 def lattice_kind(grid: Grid) -> LatticeKind:
     """Name of the bond."""
     if grid.spacing_x is None:
@@ -108,7 +88,7 @@ def describe_lattice(fit: Fit, presence: Presence, frame: Frame, scale: float) -
         spacing_y=scale * grid.spacing_y,
         shift=None if grid.spacing_x is None else grid.shift,
         joint_width=scale * float((widths * counts).sum() / max(counts.sum(), 1)),
-        extent=scale * frame.points(extent_polygon(presence)),
+        extent=scale * frame.points(field_polygon(presence)),
     )
 
 

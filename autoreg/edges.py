@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import ndtr
 
 from autoreg.camera import Camera
@@ -37,6 +37,12 @@ class Profiles:
     centre_px: Float[np.ndarray, "n 2"]
     normal: Float[np.ndarray, "n 2"]
     px_per_unit: Float[np.ndarray, " n"]
+
+    def take(self, index: np.ndarray) -> Profiles:
+        """The profiles of some stations."""
+        return Profiles(
+            self.values[index], self.at_px, self.centre_px[index], self.normal[index], self.px_per_unit[index]
+        )
 
 
 @dataclass(frozen=True)
@@ -151,7 +157,7 @@ def fit_offsets(
         pdf = (np.exp(-0.5 * ((s + half) / blur) ** 2), np.exp(-0.5 * ((s - half) / blur) ** 2))
         slope = -(tones[:, 1:2] * pdf[0] + tones[:, 2:3] * pdf[1]) / (blur * np.sqrt(2 * np.pi))
         # The part of the slope that the tones cannot imitate.
-        free = slope - np.einsum("npk,nk->np", B, _tones(B, slope, weight)[0])
+        free = slope - _tones(B, slope, weight)[1]
         information = (weight * free * free).sum(1)
         step = (weight * free * (values - fit)).sum(1) / np.maximum(information, 1e-9)
         centre = np.clip(centre + np.clip(step, -0.7, 0.7), start_px - 2.5, start_px + 2.5)
@@ -180,24 +186,20 @@ def _window(at: np.ndarray, centre: np.ndarray, reach: np.ndarray) -> np.ndarray
 
 def _tones(B: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Linear tones of each profile, and the fit."""
-    normal = np.einsum("npk,np,npl->nkl", B, weight, B)
-    right = np.einsum("npk,np,np->nk", B, weight, values)
+    near, far = B[..., 1], B[..., 2]
+    columns = (weight, weight * near, weight * far)
+    normal = np.empty((len(values), 3, 3))
+    right = np.empty((len(values), 3, 1))
+    for i, column in enumerate(columns):
+        normal[:, i, 0] = normal[:, 0, i] = column.sum(1)
+        right[:, i, 0] = (column * values).sum(1)
+    normal[:, 1, 1] = (columns[1] * near).sum(1)
+    normal[:, 1, 2] = normal[:, 2, 1] = (columns[1] * far).sum(1)
+    normal[:, 2, 2] = (columns[2] * far).sum(1)
     # A thin strip's two edges are nearly the same column: a ridge of a thousandth keeps their sum.
     ridge = 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] / 3 * np.diag([0.0, 1.0, 1.0])
-    tones = np.linalg.solve(normal + ridge, right[..., None])[..., 0]
-    return tones, np.einsum("npk,nk->np", B, tones)
-
-
-def strip_misfit(
-    profiles: Profiles, rows: np.ndarray, offset_px: np.ndarray, width_px: np.ndarray, blur: float
-) -> float:
-    """Mean logarithm of the unexplained variance of some stations' profiles, for a joint width and a blur."""
-    at, values = profiles.at_px, profiles.values[rows]
-    weight = np.ones_like(values)
-    B = _basis(at, offset_px[rows], width_px[rows], blur)
-    _, fit = _tones(B, values, weight)
-    total = ((values - values.mean(1, keepdims=True)) ** 2).sum(1)
-    return float(np.mean(np.log(((values - fit) ** 2).sum(1) / np.maximum(total, 1e-9) + 1e-3)))
+    tones = np.linalg.solve(normal + ridge, right)[..., 0]
+    return tones, tones[:, :1] + tones[:, 1:2] * near + tones[:, 2:] * far
 
 
 def strip_support(
@@ -206,10 +208,12 @@ def strip_support(
     blur: float,
     tolerance_px: float,
     room_px: Float[np.ndarray, " n"],
+    polarity: Int[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
     """Share of each profile's variance that a strip within `tolerance_px` of the predicted place explains.
 
-    Only what lies within `room_px` of the place is looked at, so that a neighbouring joint has no say.
+    Only what lies within `room_px` of the place is looked at, so that a neighbouring joint has no say. Where
+    the joints are known to be dark or light, a step of tone alone is no joint, nor is a strip of the other kind.
     """
     at = profiles.at_px
     candidates = np.arange(-tolerance_px, tolerance_px + 0.25, 0.5)
@@ -221,12 +225,26 @@ def strip_support(
         inside = np.abs(at) <= key[1]
         values = profiles.values[rows][:, inside]
         centred = values - values.mean(1, keepdims=True)
-        total = (centred**2).sum(1)
+        # A grey level of noise keeps flat profiles from scoring by chance.
+        total = ((centred**2).sum(1) + 0.5 * inside.sum())[:, None]
         B = _basis(at[inside], candidates, np.full(len(candidates), 2.0 ** (key[0] / 2)), blur)[..., 1:]
         edges = B - B.mean(1, keepdims=True)
         both = np.stack([edges[..., 0] + edges[..., 1], edges[..., 0] - edges[..., 1]], -1)
-        Q = np.linalg.qr(both)[0]
-        energy = (np.einsum("np,cpk->nck", centred, Q) ** 2).sum(-1).max(1)
-        # A grey level of noise keeps flat profiles from scoring by chance.
-        support[rows] = energy / (total + 0.5 * inside.sum())
+        Q, upper = np.linalg.qr(both)
+        Q = Q * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :]
+        step, strip = np.moveaxis(np.einsum("np,cpk->nck", centred, Q), -1, 0)
+        sign = polarity[rows, None]
+        lined = np.where(strip * sign > 0, strip**2 / (total - step**2), 0.0)
+        support[rows] = np.where(sign == 0, (step**2 + strip**2) / total, lined).max(1)
     return support
+
+
+def strip_misfit(
+    profiles: Profiles, rows: np.ndarray, offset_px: np.ndarray, width_px: np.ndarray, blur: float
+) -> float:
+    """Mean logarithm of the unexplained variance of some stations' profiles, for a joint width and a blur."""
+    values = profiles.values[rows]
+    B = _basis(profiles.at_px, offset_px[rows], width_px[rows], blur)
+    _, fit = _tones(B, values, np.ones_like(values))
+    total = ((values - values.mean(1, keepdims=True)) ** 2).sum(1)
+    return float(np.mean(np.log(((values - fit) ** 2).sum(1) / np.maximum(total, 1e-9) + 1e-3)))

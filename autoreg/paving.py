@@ -16,9 +16,11 @@ from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.image import pyramid
 from autoreg.periods import Comb, best_combs
-from autoreg.presence import Pattern, Presence, best_pattern, side_presence, with_origin
+from autoreg.presence import FIELD_COST, FIELD_SHARES, Pattern, Presence, best_pattern, field_polygon, side_presence, with_origin
 from autoreg.rectify import near_reach, rectify
 from autoreg.refine import Fit, Free, refine
+from autoreg.segments import Segments
+from autoreg.sharpen import sharpen
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
 
 # What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
@@ -29,6 +31,8 @@ FALSE_ALARM_NATS = float(np.log(1000.0))
 INDEPENDENT_SIDES = 3.0
 # Beyond this margin no other start is tried.
 CERTAIN_NATS = 40.0
+# The most starts tried on one plane after its first.
+MOST_STARTS = 6
 # How much better a finer lattice must explain the sides between the joints.
 SUBDIVIDE_NATS = 6.0
 # Size of the first look, and its and the second look's numbers of rows on the ground.
@@ -81,19 +85,29 @@ class PlaneCombs:
 
 
 def comb_planes(
-    picture: np.ndarray, hypotheses: list[tuple[Camera, Float[np.ndarray, "3 3"]]]
+    picture: np.ndarray,
+    segments: Segments,
+    hypotheses: list[tuple[Camera, Float[np.ndarray, "3 3"]]],
+    *,
+    free_focal: bool,
 ) -> list[PlaneCombs]:
     """The joints of both families on each hypothesised ground, the planes with the clearest joints first.
 
-    The look is coarse: directions from segments, and lenses that bend the joints, leave lines some pixels
-    askew, which blurs a fine profile more than a coarse one.
+    Each is looked at as it came and sharpened, finely and coarsely: directions of rough joints, and lenses
+    that bend them, leave lines some pixels askew, which blurs a fine profile more than a coarse one.
     """
     coarse, _ = pyramid(picture, COARSE_PIXELS)
     planes: list[PlaneCombs] = []
     for camera, R in hypotheses:
-        rectified = rectify(coarse, camera.scaled(coarse.shape[1], coarse.shape[0]), R, size=COARSE_LINES)
-        if rectified is not None:
-            planes.append(PlaneCombs(camera, R, best_combs(rectified.x), best_combs(rectified.y)))
+        looks: list[PlaneCombs] = []
+        for seen_by, turned in ((camera, R), sharpen(segments, camera, R, free_focal=free_focal)):
+            small = seen_by.scaled(picture.shape[1], picture.shape[0])
+            for view, size in ((coarse, COARSE_LINES), (picture, FINE_LINES)):
+                rectified = rectify(view, small.scaled(view.shape[1], view.shape[0]), turned, size=size)
+                if rectified is not None:
+                    looks.append(PlaneCombs(small, turned, best_combs(rectified.x), best_combs(rectified.y)))
+        if looks:
+            planes.append(max(looks, key=lambda plane: plane.score))
     return sorted(planes, key=lambda plane: -plane.score)
 
 
@@ -119,7 +133,7 @@ def lay_lattice(picture: Float[np.ndarray, "h w"], plane: PlaneCombs, free: Free
         starts += [_bond_start(plane.R, bond) for bond in bond_hypotheses(near, keep=2)]
         pairs = [(b, a) for b in best_combs(near.x, count=2) for a in best_combs(near.y, count=2)]
         starts += [_comb_start(plane.R, b, a) for b, a in sorted(pairs, key=lambda p: -p[0].score - p[1].score)[:2]]
-    for start in starts:
+    for start in starts[:MOST_STARTS]:
         paving = _laid(picture, plane, start, free)
         if paving is not None and (best is None or paving.margin_nats > best.margin_nats):
             best = paving
@@ -138,17 +152,25 @@ def _bond_start(R: np.ndarray, bond: BondHypothesis) -> tuple[Rigid, Grid]:
 
 
 def _laid(picture: np.ndarray, plane: PlaneCombs, start: tuple[Rigid, Grid], free: Free) -> Paving | None:
-    pose, grid = start
-    fit = refine(
+    """The lattice that a start leads to: refined from the camera's foot outwards, then within its own field."""
+    fit = refine(picture, plane.camera, *start, free=free, search=0.2, reaches=(2.5, 4.0, 7.0))
+    if fit is None:
+        return None
+    presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+    if len(presence.p) < 6:
+        return None
+    within = refine(
         picture,
-        plane.camera,
-        pose,
-        grid,
+        fit.camera,
+        fit.cam_from_ground,
+        fit.grid,
         free=free,
-        search=0.2,
-        reaches=(2.5, 4.0, 7.0),
+        search=0.05,
+        reaches=(9.0, 9.0),
+        strip=fit.strip,
+        field=field_polygon(presence),
     )
-    return None if fit is None else settle_bond(picture, fit)
+    return settle_bond(picture, within or fit)
 
 
 def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
@@ -223,11 +245,18 @@ def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
         fit,
         grid=Grid(b * along_x.period, a, shift),
         cam_from_ground=Rigid(moved.R @ QUARTER_TURN, moved.t),
-        strip=replace(fit.strip, width=(fit.strip.width[1], fit.strip.width[0])),
+        strip=replace(fit.strip, width=fit.strip.width[::-1], polarity=fit.strip.polarity[::-1]),
     )
 
 
 def _evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
+    """Log likelihood ratio of the lattice, per family, over the nearest part of the picture that suits best."""
+    options = [_evidence_of(presence.nearest(share), grid) for share in FIELD_SHARES]
+    x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
+    return x - 0.5 * FIELD_COST, y - 0.5 * FIELD_COST
+
+
+def _evidence_of(presence: Presence, grid: Grid) -> tuple[float, float]:
     """Log likelihood ratio of the lattice, per family, with the sides of a line taken together."""
     total: list[float] = []
     for family in (ALONG_X, ALONG_Y):

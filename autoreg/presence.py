@@ -12,6 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, cKDTree
 
 from autoreg.camera import Camera
 from autoreg.edges import sample_profiles, strip_support
@@ -29,19 +32,34 @@ SHARPNESS = 0.2
 MISSED = (0.1, 0.25, 0.4, 0.55, 0.7)
 # Sides are compared with controls about as large in the picture.
 SIZE_BINS, BIN_AT_LEAST = 4, 25
+# The paved field may end before the picture does: these shares of the sides, the nearest first, are tried, at
+# the price of the choice.
+FIELD_SHARES = (0.12, 0.2, 0.33, 0.5, 0.7, 1.0)
+# Sides whose p-value is below this are there; in a field, more than this share of them.
+PRESENT, FIELD_DENSITY = 0.2, 0.45
+FIELD_COST = float(np.log(len(FIELD_SHARES)))
+# How much better a pattern of absent sides must explain them than all sides being there.
+DEPARTURE_NATS = 3.0
 
 
 @dataclass(frozen=True)
 class Presence:
-    """Support of each side: `p` its p-value among the controls."""
+    """Support of each side: `p` its p-value among the controls, `size_px` its length in the picture."""
 
     sides: Sides
     p: Float[np.ndarray, " n"]
+    size_px: Float[np.ndarray, " n"]
 
     def llr(self, rows: np.ndarray) -> Float[np.ndarray, " k"]:
         """Log likelihood ratios in nats of some sides being there, for the share of missed ones that suits."""
         options = [p_llr(self.p[rows], missed) for missed in MISSED]
         return max(options, key=lambda llr: float(llr.sum()))
+
+    def nearest(self, share: float) -> Presence:
+        """The given share of the sides, the largest in the picture first."""
+        count = max(1, round(share * len(self.p)))
+        rows = np.sort(np.argsort(-self.size_px, kind="stable")[:count])
+        return Presence(self.sides.take(rows), self.p[rows], self.size_px[rows])
 
 
 def side_presence(
@@ -59,7 +77,7 @@ def side_presence(
     sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit)
     n = len(sides)
     if n == 0:
-        return Presence(sides, np.zeros(0))
+        return Presence(sides, np.zeros(0), np.zeros(0))
     across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
     middle, half = sides.ends.mean(1), 0.4 * np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1)
@@ -78,7 +96,14 @@ def side_presence(
     width = np.array(strip.width)[stations.family] * profiles.px_per_unit
     # Between close joints the window must not reach the neighbours.
     room = 0.5 * across[stations.side] * profiles.px_per_unit
-    support = strip_support(profiles, np.minimum(width, 6.0), strip.blur_px, tolerance_px, np.clip(room, 3.0, 8.0))
+    support = strip_support(
+        profiles,
+        np.minimum(width, 6.0),
+        strip.blur_px,
+        tolerance_px,
+        np.clip(room, 3.0, 8.0),
+        np.array(strip.polarity)[stations.family],
+    )
     support = support.reshape(repeat, n)
     p = np.ones(n)
     size = half * profiles.px_per_unit[:n]
@@ -89,7 +114,7 @@ def side_presence(
             beside = np.sort(support[1:, rows].ravel())
             above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
             p[rows] = (1 + above) / (1 + len(beside))
-    return Presence(sides, p)
+    return Presence(sides, p, 2.0 * size)
 
 
 def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
@@ -120,17 +145,48 @@ def best_pattern(presence: Presence, family: int, periods: tuple[int, ...] = (1,
     Absent sides are held against a pattern that predicts them and for one that does not, so neither half
     nor twice the spacing can win.
     """
-    rows = np.flatnonzero(presence.sides.family == family)
-    line, cell = presence.sides.line[rows], presence.sides.cell[rows]
-    by_missed = [p_llr(presence.p[rows], missed) for missed in MISSED]
-    found: list[Pattern] = []
-    for m in periods:
-        for q in range(m):
-            residue = (line - cell * q) % m
-            sums = np.max([np.bincount(residue, weights=llr, minlength=m) for llr in by_missed], axis=0)
-            # The more patterns of a period there are, the more of them succeed by chance.
-            found += [Pattern(m, q, r, float(sums[r] - 2 * np.log(m))) for r in range(m)]
+    best: dict[tuple[int, int, int], float] = {}
+    for share in FIELD_SHARES:
+        near = presence.nearest(share)
+        rows = np.flatnonzero(near.sides.family == family)
+        line, cell = near.sides.line[rows], near.sides.cell[rows]
+        by_missed = [p_llr(near.p[rows], missed) for missed in MISSED]
+        for m in periods:
+            cost = 0.0 if m == 1 else 2 * np.log(m) + DEPARTURE_NATS
+            for q in range(m):
+                residue = (line - cell * q) % m
+                sums = np.max([np.bincount(residue, weights=llr, minlength=m) for llr in by_missed], axis=0)
+                for r in range(m):
+                    best[m, q, r] = max(best.get((m, q, r), -np.inf), float(sums[r] - cost))
+    found = [Pattern(*key, score - FIELD_COST) for key, score in best.items()]
     return sorted(found, key=lambda f: -f.score)
+
+
+def field_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:
+    """Convex hull of the largest field of sides that are there, counter-clockwise.
+
+    A side belongs to the field if enough of its neighbours are there; of several fields that do not touch,
+    the one with the most sides is taken.
+    """
+    middle = presence.sides.ends.mean(1)
+    there = presence.p < PRESENT
+    length = float(np.median(np.linalg.norm(presence.sides.ends[:, 1] - presence.sides.ends[:, 0], axis=1)))
+    pairs = cKDTree(middle).query_pairs(1.6 * length, output_type="ndarray")
+    both = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(len(middle)), 2).reshape(-1, 2)])
+    share = np.bincount(both[:, 0], weights=there[both[:, 1]]) / np.bincount(both[:, 0])
+    member = there & (share > FIELD_DENSITY)
+    linked = both[member[both[:, 0]] & member[both[:, 1]]]
+    n = len(middle)
+    graph = coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(n, n))
+    label = connected_components(graph, directed=False)[1]
+    counts = np.bincount(label, weights=member)
+    field = member & (label == counts.argmax())
+    if field.sum() < 4:
+        field = np.ones(n, dtype=bool)
+    # Slightly widened, so that the sides of a single line span an area too.
+    corners = 0.05 * length * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+    points = (presence.sides.ends[field].reshape(-1, 1, 2) + corners).reshape(-1, 2)
+    return points[ConvexHull(points).vertices]
 
 
 def with_origin(pose: Rigid, x: float, y: float) -> Rigid:

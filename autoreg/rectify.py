@@ -59,7 +59,7 @@ def rectify(
         reach: how far from the point below the camera to look, in camera heights.
         size: limit to the number of rows and of columns.
     """
-    axes = _grid_axes(camera, R, reach, size)
+    axes = grid_axes(camera, R, reach, size)
     if axes is None:
         return None
     xs, ys = axes
@@ -105,7 +105,7 @@ def _contrast(gradient: np.ndarray, visible: np.ndarray) -> np.ndarray:
     return np.where(visible, gradient / (strength + mean), 0.0).astype(np.float32)
 
 
-def _grid_axes(
+def grid_axes(
     camera: Camera, R: np.ndarray, reach: float, size: int
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Ground coordinates of the grid's columns and rows, one pixel apart where the picture is densest."""

@@ -24,6 +24,10 @@ from autoreg.stations import (
 )
 
 WIDTHS = np.geomspace(0.004, 0.16, 14)
+# Joint width, in slab sides, where tiles meet without a joint.
+NO_JOINT = 0.001
+# A strip has one tone more than a step to fit noise with: what that buys, in mean log variance.
+NO_JOINT_BONUS = 0.05
 BLURS = (0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2)
 
 
@@ -63,10 +67,15 @@ class Free:
 
 @dataclass(frozen=True)
 class Strip:
-    """What a joint looks like: its width on the ground for either family, and the picture's blur."""
+    """What a joint looks like: its width on the ground for either family, and the picture's blur.
+
+    `polarity` is -1 where a family's joints are darker than their slabs, +1 where they are lighter, and 0
+    where they are neither (tiles of two tones that meet without a joint).
+    """
 
     width: tuple[float, float]
     blur_px: float
+    polarity: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True)
@@ -106,6 +115,7 @@ def refine(
     search: float,
     reaches: tuple[float, ...],
     strip: Strip | None = None,
+    field: Float[np.ndarray, "k 2"] | None = None,
 ) -> Fit | None:
     """The pose at which the projected joints lie on the photographed ones; None if nothing can be measured.
 
@@ -118,10 +128,11 @@ def refine(
         search: half width of the first search, in slab sides; 0 starts from the predicted places.
         reaches: how far to look in each round, in camera heights.
         strip: looks of the joints, if known.
+        field: where on the ground the paving is, a convex polygon; everywhere if None.
     """
     fit: Fit | None = None
     for reach in reaches:
-        now = _round(picture, camera, cam_from_ground, grid, strip, free, search, reach)
+        now = _round(picture, camera, cam_from_ground, grid, strip, free, search, reach, field)
         if now is None:
             return fit
         fit = now
@@ -140,6 +151,7 @@ def refine_until_still(
     search: float,
     reach: float,
     strip: Strip | None = None,
+    field: Float[np.ndarray, "k 2"] | None = None,
     still_px: float = 0.003,
     most_rounds: int = 6,
 ) -> Fit | None:
@@ -147,7 +159,7 @@ def refine_until_still(
     fit: Fit | None = None
     for _ in range(most_rounds):
         before = (camera, cam_from_ground, grid)
-        fit = refine(picture, *before, free=free, search=search, reaches=(reach,), strip=strip)
+        fit = refine(picture, *before, free=free, search=search, reaches=(reach,), strip=strip, field=field)
         if fit is None:
             return None
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
@@ -177,8 +189,9 @@ def _round(
     free: Free,
     search: float,
     reach: float,
+    field: np.ndarray | None,
 ) -> Fit | None:
-    sides = visible_sides(camera, pose, grid, reach=reach)
+    sides = visible_sides(camera, pose, grid, reach=reach, field=field)
     if len(sides) < 6:
         return None
     stations = place_stations(sides, camera, pose, limit=CAPACITY)
@@ -199,10 +212,12 @@ def _round(
         width_px = _width_px(strip, stations, profiles)
         offsets = fit_offsets(profiles, start, np.minimum(width_px, 2 * half - 6), strip.blur_px)
         usable = (offsets.strength > 0.25) & np.isfinite(offsets.offset_px) & (np.abs(offsets.offset_px) < reach_px + 1.5)
-        usable &= _polarity(offsets, stations)
+        polarity = _polarity(profiles, stations, offsets.offset_px, strip, side)
+        sign = np.array(polarity)[stations.family]
+        usable &= (sign == 0) | (offsets.depth * sign > 0)
         if usable.sum() < 12:
             return None
-        strip = _estimate_strip(profiles, offsets, stations, strip, usable, side)
+        strip = _estimate_strip(profiles, offsets, stations, replace(strip, polarity=polarity), usable, side)
         start = offsets.offset_px
     sigma = np.hypot(offsets.sigma_px, 0.3)
     fit: Fit | None = None
@@ -258,18 +273,29 @@ def _first_look(
     return best[1], best[2]
 
 
-def _polarity(offsets: Offsets, stations: Stations) -> Bool[np.ndarray, " n"]:
-    """Stations whose joint is dark (or light) like most of their family's, where the family is of one kind."""
-    fine = np.ones(len(stations), dtype=bool)
+def _polarity(
+    profiles: Profiles, stations: Stations, start: np.ndarray, strip: Strip, side: np.ndarray
+) -> tuple[int, int]:
+    """Whether most joints of either family are dark (-1) or light (+1), or neither (0).
+
+    Judged on a sample, with joints of a usual width at least: a strip without width has no tone of its own.
+    """
+    signs: list[int] = []
     for family in (ALONG_X, ALONG_Y):
-        rows = stations.family == family
-        strong = rows & (offsets.strength > 0.5) & (np.abs(offsets.depth) > 0.5 * np.abs(offsets.step))
-        if strong.sum() < 8:
+        rows = np.flatnonzero(stations.family == family)
+        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), 300)).astype(int)] if len(rows) else rows
+        across = side[1] if family == ALONG_X else side[0]
+        width_px = np.maximum(max(strip.width[family], 0.015 * across) * profiles.px_per_unit[rows], 1.0)
+        looks = fit_offsets(profiles.take(rows), start[rows], width_px, strip.blur_px, iterations=3)
+        strong = looks.strength > 0.4
+        lined = strong & (np.abs(looks.depth) > 0.5 * np.abs(looks.step))
+        # In a floor of two tones the steps outweigh whatever lies between the tiles.
+        if lined.sum() < max(6, 0.4 * strong.sum()):
+            signs.append(0)
             continue
-        dark = float(np.mean(offsets.depth[strong] < 0))
-        if max(dark, 1 - dark) > 0.8:
-            fine &= ~rows | (offsets.depth * (1 if dark < 0.5 else -1) > 0)
-    return fine
+        dark = float(np.mean(looks.depth[lined] < 0))
+        signs.append(-1 if dark > 0.75 else 1 if dark < 0.25 else 0)
+    return signs[0], signs[1]
 
 
 def _estimate_strip(
@@ -289,11 +315,23 @@ def _estimate_strip(
             options = across * WIDTHS
             costs = [strip_misfit(profiles, rows, offsets.offset_px, w * profiles.px_per_unit, blur) for w in options]
             width[family] = _lowest(np.log(options), np.array(costs))
+            if strip.polarity[family] == 0:
+                # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
+                # The two ideas are each given their own offsets before they are compared.
+                ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
+                some = profiles.take(rows)
+                misfits: list[float] = []
+                for idea in ideas:
+                    own = fit_offsets(some, offsets.offset_px[rows], idea * some.px_per_unit, blur, iterations=4)
+                    everyone = np.arange(len(rows))
+                    misfits.append(strip_misfit(some, everyone, own.offset_px, idea * some.px_per_unit, blur))
+                if misfits[1] < misfits[0] + NO_JOINT_BONUS:
+                    width[family] = NO_JOINT * across
         rows = np.concatenate(samples)
         width_px = np.where(stations.family == ALONG_X, width[0], width[1]) * profiles.px_per_unit
         costs = [strip_misfit(profiles, rows, offsets.offset_px, width_px, b) for b in BLURS]
         blur = _lowest(np.log(np.array(BLURS)), np.array(costs))
-    return Strip((width[0], width[1]), blur)
+    return replace(strip, width=(width[0], width[1]), blur_px=blur)
 
 
 def _lowest(log_at: np.ndarray, cost: np.ndarray) -> float:

@@ -1,15 +1,19 @@
 """Non-linear least squares by jaxopt's Levenberg-Marquardt; the only file that knows jaxopt.
 
-jaxopt's LM never says why it stopped and its tolerance is absolute, so convergence is judged here, by the
-decrease that a further Gauss-Newton step promises relative to the cost.
+jaxopt supplies the step and the damping (Madsen and Nielsen, algorithm 6.18). The loop around it stands here,
+because jaxopt's own never says why it stopped, judges by a tolerance that is absolute, and compiles the step
+three times over.
 """
 
 from __future__ import annotations
 
+import threading
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,13 +24,21 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     from jaxopt import LevenbergMarquardt
 
-from autoreg.residuals import PARAMETERS, JointData, joint_distances, joint_residuals
+from autoreg.residuals import PARAMETERS, JointData, Numbers, distances_and_jacobian, robust, robust_curvature
 
 # Shapes are fixed, so that one compiled function serves every photo and the compilation cache hits.
 CAPACITY = 2048
 
 # A joint that lies this many standard deviations off counts half.
 CAUCHY_SIGMAS = 2.4
+
+MOST_STEPS = 50
+# Shares of the cost that a further step may promise: below the first it is not taken, below the second the
+# solve counts as converged.
+STOP, CONVERGED = 1e-10, 1e-6
+# A cost this small is rounding. Residuals are in units of what is doubted, so the cost has no unit.
+NOTHING = 1e-15
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-10, 1e6
 
 Outcome = Literal["converged", "stalled", "diverged"]
 
@@ -44,7 +56,10 @@ class Solution:
     """Where a solve ended, and in what state.
 
     `converged`: a further step would lower the cost by less than a millionth. `stalled`: it would lower it
-    more, but the iterations were used up. `diverged`: the cost is not finite or has grown.
+    more, but the steps were used up. `diverged`: the start has no finite cost.
+
+    The cost is half the sum of the robust squares; `distances_px` and `jacobian` are those of the joints
+    themselves, neither weighted nor made robust.
     """
 
     outcome: Outcome
@@ -52,93 +67,213 @@ class Solution:
     cost: float
     distances_px: Float[np.ndarray, " n"]
     jacobian: Float[np.ndarray, "n p"]
+    steps: int
 
 
-@jax.jit
-def _solve(data: JointData, free: Float[Array, " p"], prior: tuple[Array, Array]) -> tuple[Array, ...]:
-    def residual(p: Array, data: JointData) -> Array:
-        return jnp.concatenate([joint_residuals(p * free, data), prior[1] * (p - prior[0])])
+class _Problem(NamedTuple):
+    """What a step needs to know.
 
-    jacobian = partial(jax.jacfwd(residual))
-    start = jnp.zeros(PARAMETERS)
-    J0 = jacobian(start, data)
-    # Columns of unit length: jaxopt's damping is the same for all parameters.
-    unit = 1.0 / jnp.maximum(jnp.linalg.norm(J0, axis=0), 1e-12)
-    unit = jnp.where(free > 0, unit, 0.0)
+    The solver's variables are the parameters divided by `unit`, which is zero for a frozen one.
+    """
 
-    def scaled(q: Array, data: JointData) -> Array:
-        # Frozen parameters get a residual of their own, which keeps the normal equations regular.
-        return jnp.concatenate([residual(q * unit, data), jnp.where(free > 0, 0.0, q)])
-
-    solver = LevenbergMarquardt(scaled, maxiter=30, tol=1e-10, jit=True, implicit_diff=False, damping_parameter=1e-4)
-    q = solver.run(start, data).params
-    p = q * unit * free
-    J = jacobian(p, data) * unit
-    r = residual(p, data)
-    gradient = J.T @ r
-    normal = J.T @ J + jnp.diag(jnp.where(free > 0, 1e-12, 1.0))
-    promised = 0.5 * gradient @ jnp.linalg.solve(normal, gradient)
-    start_cost = 0.5 * jnp.sum(residual(start, data) ** 2)
-    plain = jax.jacfwd(lambda x: joint_distances(x, data))(p)
-    return p, 0.5 * jnp.sum(r**2), promised, start_cost, joint_distances(p, data), plain
+    data: JointData
+    unit: Float[Numbers, " p"]
+    prior_mean: Float[Numbers, " p"]
+    prior_weight: Float[Numbers, " p"]
 
 
-def solve_joints(
-    data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None
-) -> Solution:
+def solve_joints(data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None) -> Solution:
     """Pose (and what else `free` marks with ones) that lays the projected joints on the measured ones.
 
     Args:
-        data: measured joints, at most `CAPACITY`.
+        data: measured joints, at least one and at most `CAPACITY`.
         free: one for each parameter to solve for, zero for each to keep.
         prior: what is known of the parameters beforehand.
 
     Raises:
-        ValueError: more rows than `CAPACITY`.
+        ValueError: no joint, or more than `CAPACITY`.
     """
     n = len(data.weight)
-    if n > CAPACITY:
-        raise ValueError(f"data: at most {CAPACITY} joints can be solved at once, got {n}")
-    scale = np.asarray(data.scale)
+    if not 1 <= n <= CAPACITY:
+        raise ValueError(f"data: from 1 to {CAPACITY} joints can be solved at once, got {n}")
+    scale = np.asarray(data.scale, float)
     prior = prior or Prior(np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf))
     with jax.enable_x64(True):
-        known = (jnp.asarray(prior.mean / scale), jnp.asarray(scale / (CAUCHY_SIGMAS * prior.sigma)))
-        padded = _padded(data)
-        p, cost, promised, start_cost, distances, jacobian = (np.asarray(v) for v in _solve(padded, jnp.asarray(free), known))
-    outcome: Outcome = "converged" if promised <= 1e-6 * cost + 1e-12 else "stalled"
-    if not (np.isfinite(p).all() and np.isfinite(cost)) or cost > start_cost * (1 + 1e-9) + 1e-12:
+        problem = _Problem(
+            data=jax.device_put(_padded(data)),
+            unit=np.asarray(free, float),
+            prior_mean=prior.mean / scale,
+            prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma),
+        )
+        q, state, unit, steps = _minimise(problem)
+    distances, jacobian = (np.asarray(v)[:n] for v in state.aux[:2])
+    cost = float(state.value)
+    promised = _promised(state)
+    outcome: Outcome = "converged" if promised <= CONVERGED * cost + NOTHING else "stalled"
+    if not np.isfinite(cost):
         outcome = "diverged"
-    return Solution(
-        outcome=outcome,
-        parameters=np.asarray(p * np.asarray(data.scale), dtype=float),
-        cost=float(cost),
-        distances_px=np.asarray(distances, dtype=float)[:n],
-        jacobian=np.asarray(jacobian, dtype=float)[:n] / np.asarray(data.scale),
+    return Solution(outcome, q * unit * scale, cost, distances, jacobian / scale, steps)
+
+
+def _minimise(problem: _Problem) -> tuple[np.ndarray, Any, np.ndarray, int]:
+    """The solver's variables at the minimum, jaxopt's state there, their units, and the steps taken."""
+    step = _step()
+    zero = np.zeros(PARAMETERS)
+    blank = _blank_state()
+    _, state = step(zero, blank, problem)
+    # Columns of unit length, since jaxopt's damping is the same for all variables.
+    length = np.sqrt(np.diagonal(np.asarray(state.jtj)))
+    unit = np.asarray(problem.unit) / np.where(length > 0, length, 1.0)
+    problem = problem._replace(unit=unit)
+    q, state = step(zero, blank, problem)
+    state = _curved(state._replace(damping_factor=np.float64(FIRST_DAMPING)))
+    steps = 0
+    # A cost that is not finite promises nothing; damping beyond all bounds means that the rest is rounding.
+    while (
+        steps < MOST_STEPS
+        and _promised(state) > STOP * float(state.value) + NOTHING
+        and state.damping_factor < MOST_DAMPING
+    ):
+        steps += 1
+        q_next, state_next = step(q, state, problem)
+        if np.isfinite(float(state_next.value)):
+            q, state = q_next, _curved(state_next)
+        else:
+            # The step left the range of floating point, and jaxopt's blending of old and new lets NaN in.
+            state = state._replace(damping_factor=state.damping_factor * 100.0)
+    return np.asarray(q), state, unit, steps
+
+
+def _curved(state: Any) -> Any:
+    """The state with the cost's own curvature in place of the Gauss-Newton approximation, where it is convex.
+
+    Gauss-Newton on robust residuals creeps (its rate falls to that of the doubted joints), and then promises
+    too little: what looks like a minimum can be standard deviations away from it.
+    """
+    newton = np.asarray(state.aux[2])
+    if not np.isfinite(newton).all():
+        return state
+    values = np.linalg.eigvalsh(newton)
+    if values[0] <= -1e-12 * values[-1]:
+        return state
+    return state._replace(jtj=newton, damping_factor=np.maximum(state.damping_factor, LEAST_DAMPING))
+
+
+def _promised(state: Any) -> float:
+    """Decrease of the cost that a Gauss-Newton step promises: a measure free of scales and of the damping."""
+    gradient, normal = np.asarray(state.gradient), np.asarray(state.jtj)
+    if not (np.isfinite(gradient).all() and np.isfinite(normal).all()):
+        return np.nan
+    # Frozen and undetermined variables promise nothing.
+    values, vectors = np.linalg.eigh(normal)
+    along = vectors.T @ gradient
+    return float(0.5 * np.sum(along**2 / np.where(values > 1e-13 * values[-1], values, np.inf)))
+
+
+class _Evaluation(NamedTuple):
+    residual: Float[Array, " m"]
+    jacobian: Float[Array, "m p"]
+    seen: tuple[Float[Array, " n"], Float[Array, "n p"], Float[Array, "p p"]]
+
+
+def _evaluate(q: Float[Array, " p"], problem: _Problem) -> _Evaluation:
+    """Robust residuals with those of the prior, their derivatives by q, and what is seen beside them.
+
+    That is the joints' own distances and derivatives, and the cost's second derivatives by q (without the
+    bending of the projection, which small distances make negligible). jaxopt asks for the parts one by one;
+    the compiler merges the repeated calls.
+    """
+    data, unit, mean, weight = problem
+    p = q * unit
+    distances, jacobian = distances_and_jacobian(p, data)
+    doubt = distances * data.weight
+    joints, slope = jax.jvp(robust, (doubt,), (jnp.ones_like(doubt),))
+    residual = jnp.concatenate([joints, weight * (p - mean)])
+    rows, prior_rows = jacobian * data.weight[:, None] * unit, jnp.diag(weight * unit)
+    by_q = jnp.concatenate([rows * slope[:, None], prior_rows])
+    curvature = rows.T @ (rows * robust_curvature(doubt)[:, None]) + prior_rows**2
+    return _Evaluation(residual, by_q, (distances, jacobian, curvature))
+
+
+def _residual(q: Float[Array, " p"], problem: _Problem) -> tuple[Array, Any]:
+    evaluation = _evaluate(q, problem)
+    return evaluation.residual, evaluation.seen
+
+
+def _jacobian(q: Float[Array, " p"], problem: _Problem) -> Array:
+    return _evaluate(q, problem).jacobian
+
+
+@cache
+def _solver() -> LevenbergMarquardt:
+    # Neither `jit` nor `run`: the loop is ours, and the step is compiled once, by `_compiled_step`.
+    solver = LevenbergMarquardt(
+        _residual, jac_fun=_jacobian, has_aux=True, materialize_jac=True, solver="cholesky", jit=False
     )
+    # jaxopt 0.8.5 takes a `jac_fun` but forgets it when the Jacobian is materialised.
+    solver._jac_fun = _jacobian  # pyright: ignore
+    return solver
+
+
+@cache
+def _blank_state() -> Any:
+    """A state from which an update stays where it is and only evaluates: infinite cost, and no gradient.
+
+    jaxopt's own first state would need a second copy of the evaluation to be compiled.
+    """
+    shapes = jax.eval_shape(_solver().init_state, np.zeros(PARAMETERS), _example())
+    blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+    one, two, most = np.float64(1.0), np.float64(2.0), np.float64(np.inf)
+    return blank._replace(value=most, damping_factor=one, increase_factor=two)
+
+
+_COMPILING = threading.Lock()
+
+
+def _step() -> Callable[[Any, Any, _Problem], tuple[Any, Any]]:
+    # Whoever comes while another thread compiles (`warm_up` beside the reading of a photo) waits for it.
+    with _COMPILING:
+        return _compiled_step()
+
+
+@cache
+def _compiled_step() -> Callable[[Any, Any, _Problem], tuple[Any, Any]]:
+    return jax.jit(_solver().update).lower(np.zeros(PARAMETERS), _blank_state(), _example()).compile()
+
+
+def _example() -> _Problem:
+    """A problem of the right shapes."""
+    n = CAPACITY
+    rows = np.zeros((n, 2))
+    data = JointData(rows, rows, rows, np.zeros(n), np.eye(3), np.ones(3), np.zeros(12), np.ones(PARAMETERS))
+    return _Problem(data, *(np.zeros(PARAMETERS) for _ in range(3)))
 
 
 def _padded(data: JointData) -> JointData:
-    n = len(data.weight)
     # A padding row repeats the first joint, so that it projects to something finite, with no weight.
+    n = len(data.weight)
     rows = np.where(np.arange(CAPACITY) < n, np.arange(CAPACITY), 0)
-    weight = np.where(np.arange(CAPACITY) < n, np.asarray(data.weight)[rows], 0.0)
-    return JointData(
-        ground=jnp.asarray(np.asarray(data.ground)[rows]),
-        measured_px=jnp.asarray(np.asarray(data.measured_px)[rows]),
-        normal=jnp.asarray(np.asarray(data.normal)[rows]),
-        weight=jnp.asarray(weight),
-        R=jnp.asarray(data.R),
-        t=jnp.asarray(data.t),
-        intrinsics=jnp.asarray(data.intrinsics),
-        scale=jnp.asarray(data.scale),
+    whole = JointData(*(np.asarray(v, float) for v in data))
+    return whole._replace(
+        ground=whole.ground[rows],
+        measured_px=whole.measured_px[rows],
+        normal=whole.normal[rows],
+        weight=np.where(np.arange(CAPACITY) < n, whole.weight[rows], 0.0),
     )
 
 
 def warm_up() -> None:
-    """Compile (or fetch from jax's cache) the solve, so that the first photo need not wait for it."""
-    data = JointData(
-        ground=np.ones((1, 2)), measured_px=np.zeros((1, 2)), normal=np.array([[1.0, 0.0]]),
-        weight=np.ones(1), R=np.eye(3), t=np.array([0.0, 0.0, 3.0]),
-        intrinsics=np.array([1.0, 1.0] + [0.0] * 10), scale=np.ones(PARAMETERS),
-    )  # fmt: skip
-    solve_joints(data, np.ones(PARAMETERS))
+    """Compile the solver's step, or fetch it from jax's cache, so that no photo need wait for it."""
+    with jax.enable_x64(True):
+        _step()
+
+
+def enable_compilation_cache(folder: Path) -> None:
+    """Keep compiled functions in a folder, for this and later processes; call it before the first solve.
+
+    It changes jax's configuration for the whole process, so it is for programs to call, not for libraries.
+    """
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    # By default jax keeps only what took more than a second to compile, which this may not.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

@@ -107,8 +107,12 @@ def visible_sides(
     min_px: float = 7.0,
     border_px: float = 2.0,
     limit: int = 6000,
+    field: Float[np.ndarray, "k 2"] | None = None,
 ) -> Sides:
-    """Sides in the picture, cut to it, whose slab measures at least `min_px` both ways."""
+    """Sides in the picture, cut to it, whose slab measures at least `min_px` both ways.
+
+    With a `field`, a convex counter-clockwise polygon of the ground, only sides whose middle lies in it.
+    """
     ground = visible_ground(camera, cam_from_ground, reach)
     if len(ground) < 8:
         return slab_sides(grid, np.zeros(2), np.full(2, -1.0)).take(np.zeros(0, dtype=int))
@@ -124,6 +128,8 @@ def visible_sides(
     sides = slab_sides(grid, low, high)
     middle = sides.ends.mean(1)
     near = np.linalg.norm(middle - eye[:2], axis=1) < reach * eye[2]
+    if field is not None:
+        near &= inside_convex(middle, field, 0.3 * grid.spacing_y)
     sides = sides.take(np.flatnonzero(near))
     sides, px = _clipped(sides, camera, cam_from_ground, border_px)
     # The slab across the side, seen from the side's middle.
@@ -138,6 +144,16 @@ def visible_sides(
     if len(good) > limit:
         good = np.sort(good[np.argsort(-np.minimum(length, width)[good], kind="stable")[:limit]])
     return sides.take(good)
+
+
+def inside_convex(
+    points: Float[np.ndarray, "n 2"], polygon: Float[np.ndarray, "k 2"], margin: float
+) -> np.ndarray:
+    """Which points lie in a convex counter-clockwise polygon, or within `margin` of it."""
+    edge = np.roll(polygon, -1, axis=0) - polygon
+    off = points[:, None] - polygon
+    distance = (edge[:, 0] * off[..., 1] - edge[:, 1] * off[..., 0]) / np.linalg.norm(edge, axis=1)
+    return (distance > -margin).all(1)
 
 
 def _clipped(

@@ -1,0 +1,370 @@
+import os
+import subprocess
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from handmade import looking
+from scipy.optimize import least_squares
+
+from autoreg import solver
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid, angle_between_rotations, rotation_from_vector
+from autoreg.residuals import (
+    CENTRE,
+    FOCAL,
+    PARAMETERS,
+    RADIAL,
+    RATIO,
+    ROTATION,
+    TRANSLATION,
+    JointData,
+    joint_distances,
+    robust,
+)
+from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Prior, solve_joints
+
+CAMERA = Camera(1600, 1200, 1300.0, 1290.0, 810.0, 590.0, (-0.12, 0.04, 0.0005, -0.0004))
+TRUTH = looking([-0.4, -3.0, 1.6], [0.1, 0.6, 0.0], 0.04)
+POSE = np.r_[np.ones(6), np.zeros(5)]
+EVERYTHING = np.ones(PARAMETERS)
+SIGMA_PX = 0.1
+ROOT = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Start:
+    """How far from the truth a solve begins."""
+
+    turn_rad: float = 0.01
+    shift: float = 0.03
+
+
+def problem(
+    seed: int = 0,
+    n: int = 300,
+    noise_px: float = 0.0,
+    outliers: float = 0.0,
+    start: Start = Start(),
+    sigma_px: float = SIGMA_PX,
+) -> JointData:
+    """Joints seen by the true camera, with noise, and a pose beside the true one."""
+    rng = np.random.default_rng(seed)
+    along_x = np.arange(n) % 2 == 0
+    ground = rng.uniform([-1.5, -1.0], [1.5, 4.0], (n, 2))
+    points = np.column_stack([ground, np.zeros(n)])
+    direction = np.where(along_x[:, None], [1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0])
+    seen = CAMERA.project(TRUTH.apply(points))
+    tangent = CAMERA.project(TRUTH.apply(points + direction)) - seen
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    across = noise_px * rng.normal(size=n)
+    wild = rng.random(n) < outliers
+    across = np.where(wild, rng.uniform(-8, 8, n), across)
+    # Along the joint nothing is known, so the measured point may lie anywhere there.
+    measured = seen + across[:, None] * normal + rng.normal(0, 3, (n, 1)) * tangent
+    turn = rotation_from_vector(start.turn_rad * rng.normal(size=3))
+    return JointData(
+        ground=ground,
+        measured_px=measured,
+        normal=normal,
+        weight=np.full(n, 1 / (CAUCHY_SIGMAS * sigma_px)),
+        R=turn @ TRUTH.R,
+        t=turn @ TRUTH.t + start.shift * rng.normal(size=3),
+        intrinsics=np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, *CAMERA.dist]),
+        scale=np.array([1.0] * 3 + [1.6] * 3 + [1.0, 1.0, CAMERA.fx, CAMERA.fx, 1.0]),
+    )
+
+
+def solved_pose(data: JointData, parameters: np.ndarray) -> Rigid:
+    turn = rotation_from_vector(parameters[ROTATION])
+    return Rigid(turn @ np.asarray(data.R), turn @ np.asarray(data.t) + parameters[TRANSLATION])
+
+
+def by_scipy(data: JointData, free: np.ndarray, prior: Prior | None = None) -> tuple[np.ndarray, float]:
+    """Parameters and cost at scipy's minimum of the same residuals."""
+    scale = np.asarray(data.scale)
+    index = np.flatnonzero(free)
+
+    def residual(x: jax.Array) -> jax.Array:
+        p = jnp.zeros(PARAMETERS).at[index].set(x)
+        joints = robust(joint_distances(p, data) * data.weight)
+        known = Prior(np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)) if prior is None else prior
+        return jnp.concatenate([joints, (p * scale - known.mean) / (CAUCHY_SIGMAS * known.sigma)])
+
+    with jax.enable_x64(True):
+        result = least_squares(
+            jax.jit(residual), np.zeros(len(index)), jac=jax.jit(jax.jacfwd(residual)), x_scale="jac",
+            method="trf", xtol=1e-15, ftol=1e-15, gtol=1e-14, max_nfev=2000,
+        )  # fmt: skip
+    p = np.zeros(PARAMETERS)
+    p[index] = result.x
+    return p * scale, float(result.cost)
+
+
+def sigmas_apart(data: JointData, jacobian: np.ndarray, difference: np.ndarray) -> float:
+    """Length of a difference of parameters, in standard deviations of what the joints say."""
+    return float(np.linalg.norm(CAUCHY_SIGMAS * np.asarray(data.weight)[:, None] * jacobian @ difference))
+
+
+@pytest.mark.parametrize("free", [POSE, EVERYTHING], ids=["pose", "everything"])
+def test_exact_joints_give_back_the_pose(free):
+    data = problem()
+    solution = solve_joints(data, free)
+    assert solution.outcome == "converged"
+    pose = solved_pose(data, solution.parameters)
+    assert np.rad2deg(angle_between_rotations(pose.R, TRUTH.R)) < 1e-6
+    np.testing.assert_allclose(pose.t, TRUTH.t, atol=1e-6)
+    np.testing.assert_allclose(solution.distances_px, 0.0, atol=1e-6)
+
+
+def test_a_camera_and_a_lattice_that_are_off_are_found():
+    data = problem()
+    off = np.array([1.02, 1.02, 1.0, 1.0])
+    intrinsics = np.r_[data.intrinsics[:4] * off + [0, 0, 6.0, -4.0], data.intrinsics[4:]]
+    intrinsics[4] += 0.02
+    data = data._replace(intrinsics=intrinsics, ground=data.ground * [1.01, 1 / 1.01])
+    p = solve_joints(data, EVERYTHING).parameters
+    assert p[RATIO] == pytest.approx(-2 * np.log(1.01), abs=1e-6)
+    assert p[FOCAL] == pytest.approx(-np.log(1.02), abs=1e-6)
+    np.testing.assert_allclose(p[CENTRE], [-6.0, 4.0], atol=1e-3)
+    assert p[RADIAL] == pytest.approx(-0.02, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("outliers", [0.0, 0.15])
+def test_the_minimum_is_scipys(seed, outliers):
+    # Starts within a few pixels, so that both descend into the same of a robust cost's several minima.
+    data = problem(seed, noise_px=SIGMA_PX, outliers=outliers, start=Start(0.0003, 0.001))
+    free = np.r_[np.ones(8), np.zeros(3)]
+    solution = solve_joints(data, free)
+    parameters, cost = by_scipy(data, free)
+    assert solution.outcome == "converged"
+    assert solution.cost == pytest.approx(cost, rel=1e-8)
+    assert sigmas_apart(data, solution.jacobian, solution.parameters - parameters) < 1e-3
+
+
+def test_the_minimum_with_a_prior_is_scipys():
+    data = problem(7, noise_px=SIGMA_PX, start=Start(0.0003, 0.001))
+    free = np.r_[np.ones(6), 0.0, 1.0, 1.0, 1.0, 0.0]
+    sigma = np.full(PARAMETERS, np.inf)
+    sigma[FOCAL], sigma[CENTRE] = 0.001, 2.0
+    mean = np.zeros(PARAMETERS)
+    mean[FOCAL] = 0.002
+    prior = Prior(mean, sigma)
+    solution = solve_joints(data, free, prior)
+    parameters, cost = by_scipy(data, free, prior)
+    assert solution.cost == pytest.approx(cost, rel=1e-8)
+    assert sigmas_apart(data, solution.jacobian, solution.parameters - parameters) < 1e-3
+
+
+def test_frozen_parameters_stay_exactly_where_they_are():
+    data = problem(1, noise_px=0.3)
+    for frozen in range(PARAMETERS):
+        free = EVERYTHING.copy()
+        free[frozen] = 0.0
+        p = solve_joints(data, free).parameters
+        assert p[frozen] == 0.0
+        assert (p[free > 0] != 0.0).all()
+
+
+def test_a_tight_prior_holds_and_a_loose_one_lets_go():
+    data = problem(2, noise_px=SIGMA_PX)
+    free = np.r_[POSE[:7], 1.0, 0.0, 0.0, 0.0]
+    mean = np.zeros(PARAMETERS)
+    mean[FOCAL] = 0.01
+
+    def focal(sigma: float) -> float:
+        return solve_joints(data, free, Prior(mean, np.where(mean, sigma, np.inf))).parameters[FOCAL]
+
+    alone = solve_joints(data, free).parameters[FOCAL]
+    assert focal(1e-7) == pytest.approx(0.01, abs=1e-5)
+    assert focal(1e3) == pytest.approx(alone, abs=1e-7)
+    pulled = [focal(s) for s in (1e-5, 1e-4, 1e-3, 1e-2)]
+    assert pulled == sorted(pulled, reverse=True)
+
+
+def test_a_prior_weighs_as_much_as_the_joints_that_are_as_sure():
+    """Where the joints say sigma s, a prior of sigma s a small way off pulls half of that way."""
+    data = problem(3)
+    free = np.r_[POSE[:7], 1.0, 0.0, 0.0, 0.0]
+    solution = solve_joints(data, free)
+    J = solution.jacobian[:, free > 0] / SIGMA_PX
+    sigma = float(np.sqrt(np.linalg.inv(J.T @ J)[-1, -1]))
+    mean = np.zeros(PARAMETERS)
+    way = 0.05 * sigma
+    mean[FOCAL] = solution.parameters[FOCAL] + way
+    pulled = solve_joints(data, free, Prior(mean, np.where(np.arange(PARAMETERS) == FOCAL, sigma, np.inf)))
+    assert (pulled.parameters[FOCAL] - solution.parameters[FOCAL]) / way == pytest.approx(0.5, abs=0.01)
+
+
+def test_distances_and_jacobian_are_the_joints_own_at_the_solution():
+    data = problem(4, n=50, noise_px=SIGMA_PX)
+    solution = solve_joints(data, EVERYTHING)
+    at = solution.parameters / data.scale
+    with jax.enable_x64(True):
+        distances = np.asarray(joint_distances(jnp.asarray(at), data))
+        jacobian = np.asarray(jax.jacfwd(joint_distances)(jnp.asarray(at), data)) / data.scale
+    np.testing.assert_allclose(solution.distances_px, distances, atol=1e-9)
+    np.testing.assert_allclose(solution.jacobian, jacobian, rtol=1e-9, atol=1e-7 * np.abs(jacobian).max())
+    assert solution.cost == pytest.approx(0.5 * np.log1p((distances * data.weight) ** 2).sum(), rel=1e-12)
+
+
+def test_the_spread_of_the_solutions_is_that_of_the_noise():
+    noise_px, n, runs = 0.2, 240, 60
+    errors, rms, J = [], [], None
+    for seed in range(runs):
+        data = problem(11, n=n, start=Start(0.001, 0.003), sigma_px=100 * noise_px)
+        rng = np.random.default_rng(seed)
+        noise = noise_px * rng.normal(size=(n, 1)) * data.normal
+        data = data._replace(measured_px=data.measured_px + noise)
+        solution = solve_joints(data, POSE)
+        exact = solve_joints(problem(11, n=n, start=Start(0.001, 0.003)), POSE)
+        errors.append((solution.parameters - exact.parameters)[:6])
+        rms.append(solution.distances_px.std())
+        J = exact.jacobian[:, :6] / noise_px
+    assert J is not None
+    # Normalised squared errors have a mean of 6 and a variance of 12 per run.
+    normalised = np.sum((J @ np.array(errors).T) ** 2, axis=0)
+    assert normalised.mean() == pytest.approx(6, abs=4 * np.sqrt(12 / runs))
+    assert np.mean(rms) == pytest.approx(noise_px * np.sqrt(1 - 6 / n), rel=0.02)
+
+
+def test_wild_joints_hardly_pull():
+    data = problem(5, n=600, noise_px=SIGMA_PX, outliers=0.2, start=Start(0.0005, 0.002))
+    solution = solve_joints(data, POSE)
+    pose = solved_pose(data, solution.parameters)
+    assert solution.outcome == "converged"
+    # A thirtieth of a pixel, where the wild joints lie up to eight pixels off.
+    assert angle_between_rotations(pose.R, TRUTH.R) * CAMERA.fx < 0.3
+    J = solution.jacobian[:, :6] / SIGMA_PX
+    vector = np.r_[solution.parameters[:6]]
+    truth = solve_joints(problem(5, n=600, start=Start(0.0005, 0.002)), POSE).parameters[:6]
+    assert np.linalg.norm(J @ (vector - truth)) < 10
+
+
+def test_joints_without_weight_do_not_count():
+    data = problem(6, n=200, noise_px=SIGMA_PX)
+    weight = np.where(np.arange(200) < 120, data.weight, 0.0)
+    spoiled = data._replace(weight=weight, measured_px=data.measured_px + 50.0 * (weight == 0)[:, None])
+    kept = data._replace(**{k: getattr(data, k)[:120] for k in ("ground", "measured_px", "normal", "weight")})
+    a, b = solve_joints(spoiled, POSE), solve_joints(kept, POSE)
+    assert len(a.distances_px) == 200
+    np.testing.assert_allclose(a.parameters, b.parameters, atol=1e-9)
+
+
+def test_an_answer_does_not_depend_on_the_scales_given():
+    data = problem(8, noise_px=SIGMA_PX, start=Start(0.001, 0.003))
+    other = data._replace(scale=np.asarray(data.scale) * np.geomspace(1e-3, 1e3, PARAMETERS))
+    a, b = solve_joints(data, POSE), solve_joints(other, POSE)
+    assert a.outcome == b.outcome == "converged"
+    assert sigmas_apart(data, a.jacobian, a.parameters - b.parameters) < 1e-4
+
+
+@pytest.mark.parametrize("field", ["ground", "measured_px", "t", "intrinsics"])
+def test_a_start_that_is_not_finite_diverges(field):
+    data = problem(n=20)
+    broken = np.array(getattr(data, field), float)
+    broken.flat[0] = np.nan
+    solution = solve_joints(data._replace(**{field: broken}), POSE)
+    assert solution.outcome == "diverged"
+    assert not np.isfinite(solution.cost)
+    np.testing.assert_array_equal(solution.parameters, 0.0)
+
+
+def test_a_step_out_of_the_range_of_numbers_is_taken_back():
+    """One joint far off its place, which only an astronomic focal length would reach in one step."""
+    data = JointData(
+        ground=np.array([[1e-3, 0.0]]),
+        measured_px=np.array([[50.0, 0.0]]),
+        normal=np.array([[1.0, 0.0]]),
+        weight=np.ones(1),
+        R=np.eye(3),
+        t=np.array([0.0, 0.0, 1.0]),
+        intrinsics=np.array([1.0, 1.0] + [0.0] * 10),
+        scale=np.ones(PARAMETERS),
+    )
+    free = np.eye(PARAMETERS)[FOCAL]
+    solution = solve_joints(data, free)
+    assert solution.outcome in ("converged", "stalled")
+    assert solution.cost < 0.5 * np.log1p(49.9**2)
+    assert np.isfinite(solution.parameters).all()
+
+
+def test_a_solve_without_enough_steps_says_that_it_stalled(monkeypatch):
+    monkeypatch.setattr(solver, "MOST_STEPS", 1)
+    solution = solve_joints(problem(9, noise_px=SIGMA_PX, start=Start(0.05, 0.1)), EVERYTHING)
+    assert solution.outcome == "stalled"
+    assert solution.steps == 1
+
+
+def test_a_start_at_the_minimum_takes_no_step():
+    data = problem(10, noise_px=SIGMA_PX)
+    first = solve_joints(data, POSE)
+    pose = solved_pose(data, first.parameters)
+    again = solve_joints(data._replace(R=pose.R, t=pose.t), POSE)
+    assert again.outcome == "converged"
+    assert again.steps <= 1
+    assert again.cost == pytest.approx(first.cost, rel=1e-9)
+
+
+def test_too_few_joints_for_the_parameters_still_converge():
+    solution = solve_joints(problem(n=4, noise_px=SIGMA_PX, start=Start(0.001, 0.003)), EVERYTHING)
+    assert solution.outcome == "converged"
+    np.testing.assert_allclose(solution.distances_px, 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("n", [0, CAPACITY + 1])
+def test_a_number_of_joints_that_does_not_fit_is_refused(n):
+    with pytest.raises(ValueError, match=f"data: from 1 to {CAPACITY} joints .* got {n}"):
+        solve_joints(problem(n=n), POSE)
+
+
+def test_as_many_joints_as_fit_are_solved():
+    solution = solve_joints(problem(n=CAPACITY, noise_px=SIGMA_PX), POSE)
+    assert solution.outcome == "converged"
+    assert len(solution.distances_px) == CAPACITY
+
+
+def test_solves_leave_jax_in_single_precision():
+    solve_joints(problem(n=10), POSE)
+    assert jnp.ones(1).dtype == jnp.float32
+
+
+def test_threads_that_solve_at_once_agree():
+    data, found = problem(12, noise_px=SIGMA_PX), []
+    threads = [
+        threading.Thread(target=lambda: found.append(solve_joints(data, POSE).parameters)) for _ in range(3)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 3
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
+
+
+def test_the_compiled_step_is_kept_in_the_folder_and_found_there(tmp_path):
+    """In processes of their own, because jax's configuration is the process's."""
+    code = (
+        "import sys, pathlib, jax; from autoreg import solver;"
+        "jax.monitoring.register_event_listener(lambda event, **_: print(event));"
+        "solver.enable_compilation_cache(pathlib.Path(sys.argv[1])); solver.warm_up()"
+    )
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
+    texts = []
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", code, str(tmp_path)],
+            capture_output=True, text=True, check=True, timeout=300, env=environment, cwd=ROOT,
+        )  # fmt: skip
+        texts.append(done.stdout)
+    assert len(list(tmp_path.glob("*-cache"))) == 1
+    assert "/jax/compilation_cache/cache_hits" not in texts[0]
+    assert "/jax/compilation_cache/cache_hits" in texts[1]
