@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -14,29 +15,37 @@ from autoreg.conclude import (
     fitted_joints,
     measure_residual,
     metric_scale,
+    slab_mismatch,
     with_slab_ratio,
 )
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
-from autoreg.paving import Paving, comb_planes, lay_lattice, settle_bond
-from autoreg.presence import field_polygon
+from autoreg.paving import CERTAIN_NATS, Paving, comb_planes, lay_lattice, settle_bond
+from autoreg.presence import field_polygon, side_presence
 from autoreg.refine import Fit, Free, refine_until_still
+from autoreg.refusals import camera_contradicted, no_lattice
+from autoreg.rows import STEP_SIGMA, Rows, lay_rows
 from autoreg.segments import detect_segments
+from autoreg.solver import warm_up
 from autoreg.uncertainty import check_camera, pose_covariance
 
-__all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align"]
+__all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align", "warm_up"]
+
+Source = Literal["file", "exif", "photo"]
 
 # Joints are found at this size, and measured at the photo's own.
 DETECTION_PIXELS = 600_000
-# Slab sides in the ratio of the photo may differ from the given ones by this much, plus the scatter.
-RATIO_TOLERANCE = 0.03
+# Ground hypotheses that are taken from the segments, with a camera and without, and how many of them are
+# looked into, those with the clearest joints first.
+HYPOTHESES, HYPOTHESES_NO_FOCAL, MOST_PLANES = 8, 12, 3
 # What is known of an uncalibrated camera: logarithm of its focal length with and without EXIF (the latter
 # about one picture width), and the principal point as a share of the long side.
 EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA = 0.05, 0.5, 0.012
 # ... and the first radial distortion coefficient, which curved joints tell.
 RADIAL_SIGMA = 0.1
+REACH = 12.0
 
 
 def align(
@@ -63,31 +72,120 @@ def align(
     """
     gray = as_gray(photo)
     height, width = gray.shape
-    source: Literal["file", "exif", "photo"] = "file" if camera is not None else "photo"
+    _check_arguments(camera, width, height, slab, camera_height)
+    source: Source = "file" if camera is not None else "photo"
     if camera is None and exif_focal_px is not None:
         camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
-    paving = find_paving(gray, camera)
-    fit = measure(gray, paving, slab, _freedom(camera, source, slab, width, height))
-    settled = settle_bond(gray.astype(np.float32), fit)
-    if settled is None or settled.margin_nats < 0:
-        raise _no_lattice(settled)
+    try:
+        found = find_paving(gray, camera)
+    except Refusal as refusal:
+        raise _explained(refusal, gray, camera) from None
+    picture = gray.astype(np.float32)
+    if isinstance(found, Rows):
+        fit = measure(picture, found.paving, Free(step_sigma=STEP_SIGMA))
+        settled = _rows_settled(picture, fit, found)
+        crossing = found.crossing
+    else:
+        if slab is not None and (mismatch := slab_mismatch(found.fit, slab)) is not None:
+            raise mismatch
+        start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
+        fit = measure(picture, start, _freedom(camera, source, slab, width, height))
+        settled, crossing = settle_bond(picture, fit), None
+        if settled is None or settled.margin_nats < 0:
+            raise no_lattice(settled, None)
+        fit = settled.fit
+    return _concluded(fit, settled, crossing, source, slab, camera_height)
+
+
+def find_paving(gray: np.ndarray, camera: Camera | None) -> Paving | Rows:
+    """The lattice that explains the photo best, at detection scale.
+
+    Raises:
+        Refusal: none explains it better than chance.
+    """
+    height, width = gray.shape
+    small, _ = pyramid(gray, DETECTION_PIXELS)
+    picture = small.astype(np.float32)
+    segments = detect_segments(gray)
+    if camera is not None:
+        free = Free(ratio=True)
+        hypotheses = [(camera, h.R) for h in ground_planes(segments, camera, max_hypotheses=HYPOTHESES)]
+    else:
+        free = Free(ratio=True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA)
+        hypotheses = [
+            (Camera.from_focal(width, height, focal), h.R)
+            for h, focal in ground_planes_unknown_focal(
+                segments, width, height, max_hypotheses=HYPOTHESES_NO_FOCAL
+            )
+        ]
+    ranked = comb_planes(small, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
+    best: Paving | None = None
+    for plane in ranked:
+        paving = lay_lattice(picture, plane, free)
+        if paving is not None and (best is None or paving.margin_nats > best.margin_nats):
+            best = paving
+        if best is not None and best.margin_nats > CERTAIN_NATS:
+            break
+    if best is not None and best.margin_nats > 0:
+        return best
+    fields = [lay_rows(picture, plane, segments, (width, height)) for plane in ranked]
+    rows = max((r for r in fields if r is not None), key=lambda r: r.margin_nats, default=None)
+    if rows is not None and rows.margin_nats > 0:
+        return rows
+    raise no_lattice(best, rows)
+
+
+def measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
+    """The fit of a lattice found at detection scale, repeated at the photo's own resolution.
+
+    Raises:
+        Refusal: its joints cannot be measured there.
+    """
+    coarse = paving.fit
+    height, width = picture.shape
+    fit = refine_until_still(
+        picture,
+        coarse.camera.scaled(width, height),
+        coarse.cam_from_ground,
+        coarse.grid,
+        free=free,
+        search=0.04,
+        reach=REACH,
+        field=field_polygon(paving.presence),
+    )
+    if fit is None:
+        raise no_lattice(paving, None)
+    return fit
+
+
+def _concluded(
+    fit: Fit,
+    settled: Paving,
+    crossing: np.ndarray | None,
+    source: Source,
+    slab: tuple[float, float] | None,
+    camera_height: float | None,
+) -> Alignment:
+    """The answer in the canonical frame and in metres."""
     scale, scale_source = metric_scale(fit, slab, camera_height)
-    frame = canonical_frame(fit, settled.presence)
+    frame = canonical_frame(fit, settled.presence, crossing)
     check = check_camera(fit)
+    told = fit.grid.spacing_x is not None
     pose = frame.pose(fit.cam_from_ground)
-    covariance = pose_covariance(fit)
     units = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
     return Alignment(
-        width=width,
-        height=height,
+        width=fit.camera.width,
+        height=fit.camera.height,
         camera=CameraReport(
             fit.camera,
             source,
             check.consistent if source != "photo" else None,
-            check.focal_px,
-            check.focal_sigma_px,
+            check.focal_px if told else None,
+            check.focal_sigma_px if told else None,
         ),
-        pose=Pose(Rigid(pose.R, scale * pose.t), units @ covariance @ units),
+        pose=Pose(
+            Rigid(pose.R, scale * pose.t), units @ frame.covariance(pose_covariance(fit), fit.cam_from_ground) @ units
+        ),
         scale_source=scale_source,
         lattice=describe_lattice(fit, settled.presence, frame, scale),
         residual=measure_residual(fit),
@@ -95,54 +193,29 @@ def align(
     )
 
 
-def find_paving(gray: np.ndarray, camera: Camera | None) -> Paving:
-    """The lattice that explains the photo best, at detection scale."""
-    height, width = gray.shape
-    small, _ = pyramid(gray, DETECTION_PIXELS)
-    picture = small.astype(np.float32)
-    segments = detect_segments(gray)
-    if camera is not None:
-        hypotheses = [(h.R, camera) for h in ground_planes(segments, camera, max_hypotheses=8)]
-    else:
-        hypotheses = [
-            (h.R, Camera.from_focal(width, height, focal))
-            for h, focal in ground_planes_unknown_focal(segments, width, height, max_hypotheses=12)
-        ]
-    ranked = comb_planes(small, segments, [(c, R) for R, c in hypotheses], free_focal=camera is None)
-    free = Free(ratio=True) if camera is not None else Free(True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA)
-    found = [lay_lattice(picture, plane, free) for plane in ranked[:3]]
-    pavings = sorted((p for p in found if p is not None), key=lambda p: -p.margin_nats)
-    if not pavings:
-        raise _no_lattice(None)
-    return pavings[0]
+def _rows_settled(picture: np.ndarray, fit: Fit, rows: Rows) -> Paving:
+    presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+    if len(presence.p) < 6:
+        raise no_lattice(None, rows)
+    return Paving(fit, presence, rows.paving.evidence_nats)
 
 
-def measure(gray: np.ndarray, paving: Paving, slab: tuple[float, float] | None, free: Free) -> Fit:
-    """The fit of a lattice found at detection scale, repeated at the photo's own resolution."""
-    coarse = paving.fit
-    height, width = gray.shape
-    start = coarse if slab is None else with_slab_ratio(coarse, slab)
-    fit = refine_until_still(
-        gray.astype(np.float32),
-        coarse.camera.scaled(width, height),
-        start.cam_from_ground,
-        start.grid,
-        free=free,
-        search=0.04,
-        reach=12.0,
-        field=field_polygon(paving.presence),
-    )
-    if fit is None:
-        raise _no_lattice(None)
-    return fit
+def _explained(refusal: Refusal, gray: np.ndarray, camera: Camera | None) -> Refusal:
+    """The refusal, or a better one if the photo's joints fit another camera than the given one."""
+    if camera is None:
+        return refusal
+    try:
+        other = find_paving(gray, None)
+    except Refusal:
+        return refusal
+    if isinstance(other, Rows):
+        return refusal
+    focal = other.fit.camera.scaled(camera.width, camera.height).fx
+    return camera_contradicted(camera.fx, focal) or refusal
 
 
 def _freedom(
-    camera: Camera | None,
-    source: Literal["file", "exif", "photo"],
-    slab: tuple[float, float] | None,
-    width: int,
-    height: int,
+    camera: Camera | None, source: Source, slab: tuple[float, float] | None, width: int, height: int
 ) -> Free:
     """What is solved for: with a camera file the pose alone, else the camera too, within what is known.
 
@@ -164,12 +237,18 @@ def _freedom(
     )
 
 
-def _no_lattice(paving: Paving | None) -> Refusal:
-    measured = None if paving is None else paving.margin_nats
-    return Refusal(
-        "no_lattice",
-        "no lattice of slabs explains this picture better than chance; "
-        "take a photo in which two or more rows of slabs and their cross joints are clearly seen",
-        measured=measured,
-        limit=0.0,
-    )
+def _check_arguments(
+    camera: Camera | None,
+    width: int,
+    height: int,
+    slab: tuple[float, float] | None,
+    camera_height: float | None,
+) -> None:
+    if camera is not None and (camera.width, camera.height) != (width, height):
+        raise ValueError(f"camera: is for {camera.width}x{camera.height} pixels, the photo has {width}x{height}")
+    if slab is not None and camera_height is not None:
+        raise ValueError("slab, camera_height: give one of them, both set the scale")
+    if slab is not None and not all(np.isfinite(s) and s > 0 for s in slab):
+        raise ValueError(f"slab: sides must be positive lengths in metres, got {slab}")
+    if camera_height is not None and not (np.isfinite(camera_height) and camera_height > 0):
+        raise ValueError(f"camera_height: must be a positive length in metres, got {camera_height}")

@@ -17,6 +17,11 @@ from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
 
 
+# Logarithm by which the sides' ratio in the photo may differ from the given one: coarse fits, uneven slabs and
+# nominal sizes without the joint stay below it.
+RATIO_TOLERANCE = 0.08
+
+
 @dataclass(frozen=True)
 class Frame:
     """A choice among the lattice's equivalent frames: quarter turns about a crossing."""
@@ -35,6 +40,13 @@ class Frame:
         turn = self.rotation
         return Rigid(pose.R @ turn, pose.t + pose.R[:, :2] @ self.origin)
 
+    def covariance(self, covariance: Float[np.ndarray, "6 6"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
+        """Covariance of the moved pose: the new origin swings with the rotation about the old one."""
+        x, y, z = pose.R[:, :2] @ self.origin
+        A = np.eye(6)
+        A[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return A @ covariance @ A.T
+
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
         """Old ground axes from this frame's."""
@@ -46,17 +58,20 @@ class Frame:
         return (points - self.origin) @ self.rotation[:2, :2]
 
 
-def canonical_frame(fit: Fit, presence: Presence) -> Frame:
+def canonical_frame(fit: Fit, presence: Presence, crossing: Float[np.ndarray, "2"] | None) -> Frame:
     """The frame by the written rule: +Y points most away from the camera, origin nearest the paving's middle.
 
     The middle is the ground under the mean pixel of the sides that are there. A running bond and rows keep
-    X along the unbroken joints, so that only half a turn is free.
+    X along the unbroken joints, so that only half a turn is free; the origin of rows, whose cross joints
+    follow no law, is the given `crossing`.
     """
     R = fit.cam_from_ground.R
     ahead = R[2, :2]
     free = (0, 1, 2, 3) if fit.grid.spacing_x is not None and not fit.grid.shift else (0, 2)
     y_axes = {0: (0.0, 1.0), 1: (-1.0, 0.0), 2: (0.0, -1.0), 3: (1.0, 0.0)}
     turns = max(free, key=lambda q: round(float(np.dot(ahead, y_axes[q])), 9))
+    if crossing is not None:
+        return Frame(turns, crossing)
     here = presence.sides.ends[presence.p < PRESENT].reshape(-1, 2)
     px = project_ground(fit.camera, fit.cam_from_ground, here).mean(0)
     ray = fit.camera.unproject(px[None])[0] @ R
@@ -160,6 +175,23 @@ def metric_scale(
     if camera_height is not None:
         return camera_height / float(fit.cam_from_ground.origin_in_a[2]), "camera_height"
     return (1.0 / b if a is None else 2.0 / (a + b)), "none"
+
+
+def slab_mismatch(fit: Fit, slab: tuple[float, float]) -> Refusal | None:
+    """The refusal of a slab whose sides cannot be those of the photo's lattice; None if they may be."""
+    a, b = fit.grid.spacing_x, fit.grid.spacing_y
+    if a is None:
+        return None
+    seen, told = max(a, b) / min(a, b), max(slab) / min(slab)
+    if abs(np.log(seen / told)) < RATIO_TOLERANCE:
+        return None
+    return Refusal(
+        "slab_mismatch",
+        f"the slabs in this photo have sides in the ratio {seen:.3f}, those given with --slab {told:.3f}; measure a "
+        "slab from joint to joint, or check that the camera belongs to this photo",
+        measured=round(float(seen), 4),
+        limit=round(float(told), 4),
+    )
 
 
 def with_slab_ratio(fit: Fit, slab: tuple[float, float]) -> Fit:

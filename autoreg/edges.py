@@ -92,7 +92,8 @@ def sample_profiles(
     # remap takes at most 32,767 rows and columns.
     for start in range(0, n, 16_384):
         part = slice(start, start + 16_384)
-        grey[part] = cv2.remap(picture, uv[part, :, 0], uv[part, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        u, v = uv[part, :, 0], uv[part, :, 1]
+        grey[part] = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     values = grey.reshape(n, m, p).mean(1).astype(np.float64)
     return Profiles(values, at, centre, normal, np.abs(per_unit))
 
@@ -148,34 +149,33 @@ def fit_offsets(
     reach = window_px if window_px is not None else 0.5 * width_px + 3.0 * blur + 1.5
     centre = start_px.copy()
     weight = _window(at, start_px, reach)
-    n = len(values)
+    information = np.zeros(len(values))
     for _ in range(iterations):
-        B = _basis(at, centre, width_px, blur)
-        tones, fit = _tones(B, values, weight)
+        basis = _basis(at, centre, width_px, blur)
+        tones, fit = _tones(basis, values, weight)
         s = at - centre[:, None]
         half = 0.5 * width_px[:, None]
         pdf = (np.exp(-0.5 * ((s + half) / blur) ** 2), np.exp(-0.5 * ((s - half) / blur) ** 2))
         slope = -(tones[:, 1:2] * pdf[0] + tones[:, 2:3] * pdf[1]) / (blur * np.sqrt(2 * np.pi))
         # The part of the slope that the tones cannot imitate.
-        free = slope - _tones(B, slope, weight)[1]
+        free = slope - _tones(basis, slope, weight)[1]
         information = (weight * free * free).sum(1)
         step = (weight * free * (values - fit)).sum(1) / np.maximum(information, 1e-9)
         centre = np.clip(centre + np.clip(step, -0.7, 0.7), start_px - 2.5, start_px + 2.5)
-    B = _basis(at, centre, width_px, blur)
-    tones, fit = _tones(B, values, weight)
+    tones, fit = _tones(_basis(at, centre, width_px, blur), values, weight)
     count = weight.sum(1)
     sse = (weight * (values - fit) ** 2).sum(1)
     mean = (weight * values).sum(1) / count
     total = (weight * (values - mean[:, None]) ** 2).sum(1)
     variance = sse / np.maximum(count * INDEPENDENT - 4.0, 1.0) + 0.02
-    sigma = np.sqrt(variance / np.maximum(information * 1.0, 1e-9))
+    sigma = np.sqrt(variance / np.maximum(information, 1e-9))
     return Offsets(
         offset_px=centre,
         sigma_px=sigma,
         depth=0.5 * (tones[:, 1] - tones[:, 2]),
         step=tones[:, 1] + tones[:, 2],
         strength=1.0 - sse / np.maximum(total, 1e-9),
-        residual=sse / np.maximum(n and count, 1e-9),
+        residual=sse / np.maximum(count, 1e-9),
     )
 
 
@@ -213,7 +213,8 @@ def strip_support(
     """Share of each profile's variance that a strip within `tolerance_px` of the predicted place explains.
 
     Only what lies within `room_px` of the place is looked at, so that a neighbouring joint has no say. Where
-    the joints are known to be dark or light, a step of tone alone is no joint, nor is a strip of the other kind.
+    the joints are known to be dark or light, a step of tone alone is no joint, nor is a strip of the other
+    kind.
     """
     at = profiles.at_px
     candidates = np.arange(-tolerance_px, tolerance_px + 0.25, 0.5)
@@ -230,9 +231,9 @@ def strip_support(
         B = _basis(at[inside], candidates, np.full(len(candidates), 2.0 ** (key[0] / 2)), blur)[..., 1:]
         edges = B - B.mean(1, keepdims=True)
         both = np.stack([edges[..., 0] + edges[..., 1], edges[..., 0] - edges[..., 1]], -1)
-        Q, upper = np.linalg.qr(both)
-        Q = Q * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :]
-        step, strip = np.moveaxis(np.einsum("np,cpk->nck", centred, Q), -1, 0)
+        orthonormal, upper = np.linalg.qr(both)
+        signed = orthonormal * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :]
+        step, strip = np.moveaxis(np.einsum("np,cpk->nck", centred, signed), -1, 0)
         sign = polarity[rows, None]
         lined = np.where(strip * sign > 0, strip**2 / (total - step**2), 0.0)
         support[rows] = np.where(sign == 0, (step**2 + strip**2) / total, lined).max(1)

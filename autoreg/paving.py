@@ -16,7 +16,7 @@ from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.image import pyramid
 from autoreg.periods import Comb, best_combs
-from autoreg.presence import FIELD_COST, FIELD_SHARES, Pattern, Presence, best_pattern, field_polygon, side_presence, with_origin
+from autoreg.presence import FIELD_COST, FIELD_SHARES, Pattern, Presence, best_pattern, broken, field_polygon, side_presence, with_origin
 from autoreg.rectify import near_reach, rectify
 from autoreg.refine import Fit, Free, refine
 from autoreg.segments import Segments
@@ -181,7 +181,7 @@ def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
     """
     for _ in range(6):
         presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
-        if len(presence.p) < 6:
+        if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
             return None
         changed = with_pattern(fit, best_pattern(presence, ALONG_X)[0], best_pattern(presence, ALONG_Y)[0])
         if changed is None:
@@ -189,7 +189,7 @@ def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
         if changed is None:
             break
         fit = changed
-    return Paving(fit, presence, _evidence(presence, fit.grid))
+    return Paving(fit, presence, line_evidence(presence, fit.grid))
 
 
 def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
@@ -249,7 +249,7 @@ def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
     )
 
 
-def _evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
+def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
     """Log likelihood ratio of the lattice, per family, over the nearest part of the picture that suits best."""
     options = [_evidence_of(presence.nearest(share), grid) for share in FIELD_SHARES]
     x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))

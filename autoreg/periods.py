@@ -44,7 +44,7 @@ def log_likelihood_ratio(z: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return np.minimum(np.log((1.0 - MISSED) / SUPPORT_RANGE / background + MISSED), CAP)
 
 
-def blurred(llr: Float[np.ndarray, "lines *n"], tolerance: int = 1) -> Float[np.ndarray, "lines *n"]:
+def blurred(llr: Float[np.ndarray, " lines *n"], tolerance: int = 1) -> Float[np.ndarray, " lines *n"]:
     """Log of the likelihood ratio averaged over a position that is known to `tolerance` lines."""
     flat = np.exp(llr).reshape(len(llr), -1)
     return np.log(cv2.blur(flat, (1, 2 * tolerance + 1), borderType=cv2.BORDER_REPLICATE)).reshape(llr.shape)

@@ -37,6 +37,8 @@ SIZE_BINS, BIN_AT_LEAST = 4, 25
 FIELD_SHARES = (0.12, 0.2, 0.33, 0.5, 0.7, 1.0)
 # Sides whose p-value is below this are there; in a field, more than this share of them.
 PRESENT, FIELD_DENSITY = 0.2, 0.45
+# Mean p-values of a class of sides that is absent, and of one that is there.
+BROKEN_P, PRESENT_P = 0.35, 0.15
 FIELD_COST = float(np.log(len(FIELD_SHARES)))
 # How much better a pattern of absent sides must explain them than all sides being there.
 DEPARTURE_NATS = 3.0
@@ -162,12 +164,35 @@ def best_pattern(presence: Presence, family: int, periods: tuple[int, ...] = (1,
     return sorted(found, key=lambda f: -f.score)
 
 
+def broken(presence: Presence, family: int) -> bool:
+    """Whether the joints of a family break off at regular intervals, as those of herringbone do.
+
+    The sides of one residue class, counted obliquely over the lattice, are then absent while all others are
+    there; no stack or running bond of whole slabs looks like that.
+    """
+    near = presence.nearest(0.5)
+    rows = np.flatnonzero(near.sides.family == family)
+    line, cell, p = near.sides.line[rows], near.sides.cell[rows], near.p[rows]
+    for m in (3, 4):
+        for q in range(1, m):
+            residue = (line - cell * q) % m
+            count = np.bincount(residue, minlength=m)
+            if count.min() < 5:
+                continue
+            mean = np.sort(np.bincount(residue, weights=p, minlength=m) / count)
+            if mean[-1] > BROKEN_P and mean[-2] < PRESENT_P:
+                return True
+    return False
+
+
 def field_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:
     """Convex hull of the largest field of sides that are there, counter-clockwise.
 
     A side belongs to the field if enough of its neighbours are there; of several fields that do not touch,
     the one with the most sides is taken.
     """
+    if len(presence.p) == 0:
+        raise ValueError("presence: no sides to span a field")
     middle = presence.sides.ends.mean(1)
     there = presence.p < PRESENT
     length = float(np.median(np.linalg.norm(presence.sides.ends[:, 1] - presence.sides.ends[:, 0], axis=1)))

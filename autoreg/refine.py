@@ -33,7 +33,11 @@ BLURS = (0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2)
 
 @dataclass(frozen=True)
 class Free:
-    """What the solve may change besides the pose, and how far a prior lets the camera go."""
+    """What the solve may change besides the pose, and how far a prior lets it go.
+
+    `step_sigma` holds every single solve near its start: so many radians, and heights of the camera. Joints of
+    one direction leave motions free that must not wander.
+    """
 
     ratio: bool = False
     focal: bool = False
@@ -43,6 +47,7 @@ class Free:
     focal_sigma: float = np.inf
     centre_sigma_px: float = np.inf
     radial_sigma: float = np.inf
+    step_sigma: float = np.inf
 
     @property
     def mask(self) -> Float[np.ndarray, " p"]:
@@ -58,6 +63,7 @@ class Free:
         mean, sigma = np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)
         sigma[terms.FOCAL], sigma[terms.CENTRE] = self.focal_sigma, self.centre_sigma_px
         sigma[terms.RADIAL] = self.radial_sigma
+        sigma[terms.ROTATION] = sigma[terms.TRANSLATION] = self.step_sigma
         if self.nominal is not None:
             mean[terms.FOCAL] = np.log(self.nominal.fx / camera.fx)
             mean[terms.CENTRE] = self.nominal.cx - camera.cx, self.nominal.cy - camera.cy

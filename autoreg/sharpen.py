@@ -53,11 +53,15 @@ def sharpen(
     size = 4 if free_focal else 3
     simplex = np.vstack([np.zeros(size), np.eye(size)])
     found = minimize(
-        blur, np.zeros(size), method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": 220, "xatol": 0.01, "fatol": 1e-4}
+        blur,
+        np.zeros(size),
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": 220, "xatol": 0.01, "fatol": 1e-4},
     )
     p = found.x
     if free_focal:
-        camera = Camera.from_focal(camera.width, camera.height, camera.fx * float(np.exp(p[3] * FIRST_STEP_FOCAL)))
+        focal = camera.fx * float(np.exp(p[3] * FIRST_STEP_FOCAL))
+        camera = Camera.from_focal(camera.width, camera.height, focal)
     return camera, rotation_from_vector(p[:3] * FIRST_STEP_RAD) @ R
 
 
@@ -92,7 +96,8 @@ def _sharpness(points: _Points, R: np.ndarray, focal: float, axes: tuple[np.ndar
         low = np.floor(bin_at[inside]).astype(int)
         part = bin_at[inside] - low
         w = weight[inside]
-        histogram = np.bincount(low, w * (1 - part), len(axis) + 1) + np.bincount(low + 1, w * part, len(axis) + 1)
+        size = len(axis) + 1
+        histogram = np.bincount(low, w * (1 - part), size) + np.bincount(low + 1, w * part, size)
         fine = gaussian_filter1d(histogram, 1.0)
         total += float(((fine - gaussian_filter1d(histogram, 8.0)) ** 2).sum())
     return total / float(points.weight.sum() ** 2) * 1e3

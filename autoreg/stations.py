@@ -124,7 +124,8 @@ def visible_sides(
     if cells > 40_000:
         centre = np.clip(eye[:2], low, high)
         shrink = np.sqrt(40_000 / cells)
-        low, high = np.maximum(low, centre - shrink * (high - low)), np.minimum(high, centre + shrink * (high - low))
+        half = shrink * (high - low)
+        low, high = np.maximum(low, centre - half), np.minimum(high, centre + half)
     sides = slab_sides(grid, low, high)
     middle = sides.ends.mean(1)
     near = np.linalg.norm(middle - eye[:2], axis=1) < reach * eye[2]
@@ -157,15 +158,20 @@ def inside_convex(
 
 
 def _clipped(
-    sides: Sides, camera: Camera, cam_from_ground: Rigid, border_px: float, pieces: int = 8, least: float = 0.45
+    sides: Sides,
+    camera: Camera,
+    cam_from_ground: Rigid,
+    border_px: float,
+    pieces: int = 8,
+    least: float = 0.45,
 ) -> tuple[Sides, Float[np.ndarray, "n 2 2"]]:
-    """The sides cut to the picture, and their ends there; those of which less than `least` is seen are left out."""
+    """The sides cut to the picture, and their ends there; sides seen for less than `least` are left out."""
     fraction = np.linspace(0.0, 1.0, pieces + 1)
     start, along = sides.ends[:, :1], sides.ends[:, 1:] - sides.ends[:, :1]
     px = project_ground(camera, cam_from_ground, start + fraction[:, None] * along)
     with np.errstate(invalid="ignore"):
-        inside = (px > border_px) & (px < [camera.width - 1 - border_px, camera.height - 1 - border_px])
-    inside = inside.all(-1)
+        far = np.array([camera.width, camera.height]) - 1 - border_px
+        inside = np.all((px > border_px) & (px < far), axis=-1)
     first, last = inside.argmax(1), pieces - inside[:, ::-1].argmax(1)
     # A side that leaves the picture and comes back is none of a pinhole's; a lens may do that at its rim.
     whole = inside.sum(1) == last - first + 1

@@ -1,0 +1,61 @@
+"""Why a photo was refused, in words: cause, measured value, next step."""
+
+from __future__ import annotations
+
+from autoreg.errors import Refusal
+from autoreg.paving import FALSE_ALARM_NATS, TESTED_NATS, Paving
+from autoreg.rows import Rows
+
+# A camera's focal length must differ by this much before it is blamed for a refusal.
+FOCAL_BLAME = 0.05
+# Fewer sides than this are a few joints, however clear.
+FEW_SIDES = 16
+
+
+def no_lattice(best: Paving | None, rows: Rows | None) -> Refusal:
+    """The refusal of a photo whose best lattice, and whose best rows, explain it no better than chance."""
+    single = 0.5 * TESTED_NATS + FALSE_ALARM_NATS
+    strongest = max(
+        (e for e in (*(best.evidence_nats if best else ()), rows.paving.evidence_nats[0] if rows else 0.0)),
+        default=0.0,
+    )
+    if strongest > single:
+        return Refusal(
+            "one_direction",
+            "only one family of parallel joints repeats here, and the joints across it could be chance, so the "
+            "pose is not determined; take a photo that shows joints in both directions",
+            measured=round(min(best.evidence_nats) if best else 0.0, 2),
+            limit=round(0.5 * TESTED_NATS, 2),
+        )
+    evidence = sum(best.evidence_nats) if best else 0.0
+    if best is not None and len(best.presence.p) < FEW_SIDES and best.margin_nats > -0.5 * TESTED_NATS:
+        return Refusal(
+            "too_few_joints",
+            f"a lattice may be there, but only {len(best.presence.p)} slab sides are in view, too few to tell it "
+            "from chance; step back or tilt the camera so that more slabs are seen",
+            measured=round(evidence, 2),
+            limit=round(TESTED_NATS + FALSE_ALARM_NATS, 2),
+        )
+    return Refusal(
+        "no_lattice",
+        "no lattice of slabs explains this picture better than chance (evidence in nats, against what as many "
+        "tried lattices reach by luck once in a thousand photos); take a photo in which two or more rows of "
+        "slabs and their cross joints are clearly seen",
+        measured=round(evidence, 2),
+        limit=round(TESTED_NATS + FALSE_ALARM_NATS, 2),
+    )
+
+
+def camera_contradicted(given_px: float, from_photo_px: float) -> Refusal | None:
+    """The refusal of a photo whose joints fit another focal length; None if it is about the same."""
+    share = from_photo_px / given_px - 1.0
+    if abs(share) < FOCAL_BLAME:
+        return None
+    return Refusal(
+        "camera_contradicted",
+        f"no lattice fits this camera's focal length of {given_px:.0f} px, but one fits {from_photo_px:.0f} px "
+        f"({100 * share:+.0f} %); the camera file belongs to another camera, zoom or picture size: check it "
+        "with its calibration, or leave --camera out",
+        measured=round(from_photo_px, 1),
+        limit=round(given_px, 1),
+    )

@@ -1,0 +1,138 @@
+"""Rows: unbroken joints at an even spacing, with cross joints at right angles that follow no period.
+
+Random ashlar is the most common real paving. Its unbroken joints tell the pose; its cross joints only show
+that the ground is paved with slabs, not with boards, and give the frame a crossing to start from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import poisson
+
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid
+from autoreg.paving import FALSE_ALARM_NATS, QUARTER_TURN, TESTED_NATS, Paving, PlaneCombs, line_evidence
+from autoreg.presence import best_pattern, broken, field_polygon, side_presence, with_origin
+from autoreg.refine import Fit, Free, refine
+from autoreg.segments import Segments
+from autoreg.stations import ALONG_X, Grid
+
+# Cross joints lie this close to the right angle; segments that lie this far from either direction show how
+# many would by chance.
+RIGHT_RAD, OBLIQUE_RAD = np.radians(4.0), np.radians(15.0)
+# One family of lines holds fewer motions than two: single solves may not wander further than this.
+STEP_SIGMA = 0.004
+# Combs with less are not looked into.
+WORTH_NATS = 6.0
+
+
+@dataclass(frozen=True)
+class CrossJoints:
+    """Segments at right angles to the unbroken joints: where they lie, and their evidence against chance."""
+
+    middle: Float[np.ndarray, "n 2"]
+    evidence_nats: float
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A field of rows, and a crossing to start its frame from."""
+
+    paving: Paving
+    crossing: Float[np.ndarray, "2"]
+
+    @property
+    def margin_nats(self) -> float:
+        """Evidence beyond what the number of tested hypotheses demands, for joints and cross joints alike."""
+        x, y = self.paving.evidence_nats
+        return min(x - 0.5 * TESTED_NATS - FALSE_ALARM_NATS, y - FALSE_ALARM_NATS)
+
+
+def lay_rows(picture: Float[np.ndarray, "h w"], plane: PlaneCombs, segments: Segments, size: tuple[int, int]) -> Rows | None:
+    """The best field of rows on a plane, or None if it shows none.
+
+    `size` is the photo's width and height, in whose pixels the segments are.
+    """
+    best: Rows | None = None
+    for turned, combs in ((False, plane.x), (True, plane.y)):
+        if not combs or combs[0].score < WORTH_NATS:
+            continue
+        across, phase = combs[0].spacing, combs[0].phase
+        origin = np.array([phase, 0.0, -1.0]) if turned else np.array([0.0, phase, -1.0])
+        start = Rigid(plane.R @ QUARTER_TURN if turned else plane.R, plane.R @ origin)
+        found = _refined(picture, plane.camera, start, Grid(None, across), segments, size)
+        if found is not None and (best is None or found.margin_nats > best.margin_nats):
+            best = found
+    return best
+
+
+def _refined(
+    picture: np.ndarray, camera: Camera, pose: Rigid, grid: Grid, segments: Segments, size: tuple[int, int]
+) -> Rows | None:
+    free = Free(step_sigma=STEP_SIGMA)
+    fit = refine(picture, camera, pose, grid, free=free, search=0.2, reaches=(2.5, 4.0, 7.0))
+    for _ in range(3):
+        if fit is None:
+            return None
+        presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+        if len(presence.p) < 6:
+            return None
+        pattern = best_pattern(presence, ALONG_X)[0]
+        if pattern.period > 1 and pattern.advance == 0:
+            wider = Grid(None, fit.grid.spacing_y * pattern.period)
+            pose = with_origin(fit.cam_from_ground, 0.0, pattern.phase * fit.grid.spacing_y)
+            fit = replace(fit, grid=wider, cam_from_ground=pose)
+            continue
+        field = field_polygon(presence)
+        within = refine(
+            picture, fit.camera, fit.cam_from_ground, fit.grid,
+            free=free, search=0.05, reaches=(9.0, 9.0), strip=fit.strip, field=field,
+        )  # fmt: skip
+        fit = within or fit
+        break
+    if fit is None:
+        return None
+    presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+    if len(presence.p) < 6 or broken(presence, ALONG_X):
+        return None
+    cross = find_cross_joints(segments, fit, field_polygon(presence), size)
+    if len(cross.middle) == 0:
+        return None
+    x, _ = line_evidence(presence, fit.grid)
+    middle = np.median(cross.middle, axis=0)
+    crossing = cross.middle[np.linalg.norm(cross.middle - middle, axis=1).argmin()]
+    spacing = fit.grid.spacing_y
+    return Rows(Paving(fit, presence, (x, cross.evidence_nats)), np.array([crossing[0], round(crossing[1] / spacing) * spacing]))
+
+
+def find_cross_joints(
+    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]
+) -> CrossJoints:
+    """Segments of the field that lie at right angles to the unbroken joints, against those of any direction."""
+    camera = fit.camera.scaled(*size)
+    pose = fit.cam_from_ground
+    rays = camera.unproject(segments.ends_px.reshape(-1, 2)) @ pose.R
+    eye = pose.origin_in_a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ground = (eye[:2] - rays[:, :2] * (eye[2] / rays[:, 2:])).reshape(-1, 2, 2)
+    down = (rays[:, 2] < -1e-3).reshape(-1, 2).all(1) & np.isfinite(ground).all((1, 2))
+    ground = ground[down]
+    middle = ground.mean(1)
+    low, high = field.min(0), field.max(0)
+    ground = ground[((middle > low) & (middle < high)).all(1)]
+    along = ground[:, 1] - ground[:, 0]
+    angle = np.abs(np.arctan2(along[:, 1], along[:, 0])) % np.pi
+    off_right = np.abs(angle - np.pi / 2)
+    # A cross joint lies between two unbroken ones, and is a good part of a row long.
+    length = np.linalg.norm(along, axis=1)
+    fair = (length > 0.3 * fit.grid.spacing_y) & (length < 1.4 * fit.grid.spacing_y)
+    right = fair & (off_right < RIGHT_RAD)
+    oblique = fair & (off_right > OBLIQUE_RAD) & (off_right < np.pi / 2 - OBLIQUE_RAD)
+    # A half observed besides keeps an empty field from proving anything.
+    expected = (oblique.sum() + 0.5) * RIGHT_RAD / (np.pi / 2 - 2 * OBLIQUE_RAD)
+    found = int(right.sum())
+    nats = float(-poisson.logsf(found - 1, expected)) if found else 0.0
+    return CrossJoints(ground[right].mean(1), min(nats, 200.0))

@@ -1,0 +1,47 @@
+"""Photos and fits that several test modules look at; drawn and fitted once."""
+
+from __future__ import annotations
+
+import pytest
+from paved import CHECKER, GRAVEL, HALF_BOND, STACK, fit_of
+
+from autoreg.rectify import Rectified, rectify
+from autoreg.refine import Fit
+from autoreg.synthetic import SyntheticPhoto, render_paving
+
+
+@pytest.fixture(scope="session")
+def stack_photo() -> SyntheticPhoto:
+    return render_paving(STACK)
+
+
+@pytest.fixture(scope="session")
+def half_photo() -> SyntheticPhoto:
+    return render_paving(HALF_BOND)
+
+
+@pytest.fixture(scope="session")
+def checker_photo() -> SyntheticPhoto:
+    return render_paving(CHECKER)
+
+
+@pytest.fixture(scope="session")
+def gravel_photo() -> SyntheticPhoto:
+    return render_paving(GRAVEL)
+
+
+@pytest.fixture(scope="session")
+def stack_fit(stack_photo: SyntheticPhoto) -> Fit:
+    return fit_of(stack_photo)
+
+
+@pytest.fixture(scope="session")
+def half_fit(half_photo: SyntheticPhoto) -> Fit:
+    return fit_of(half_photo)
+
+
+@pytest.fixture(scope="session")
+def stack_rectified(stack_photo: SyntheticPhoto) -> Rectified:
+    rectified = rectify(stack_photo.pixels.mean(-1), stack_photo.camera, stack_photo.cam_from_ground.R)
+    assert rectified is not None
+    return rectified
