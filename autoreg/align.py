@@ -22,10 +22,10 @@ from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
-from autoreg.paving import CERTAIN_NATS, Paving, comb_planes, lay_lattice, settle_bond
+from autoreg.paving import CERTAIN_NATS, Paving, comb_planes, lay_lattice, presented, rival, suited
 from autoreg.presence import field_polygon, side_presence
 from autoreg.refine import Fit, Free, refine_until_still
-from autoreg.refusals import camera_contradicted, no_lattice
+from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows, lay_rows
 from autoreg.segments import detect_segments
 from autoreg.solver import warm_up
@@ -77,28 +77,30 @@ def align(
     if camera is None and exif_focal_px is not None:
         camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
     try:
-        found = find_paving(gray, camera)
+        found = find_paving(gray, camera, slab)
     except Refusal as refusal:
-        raise _explained(refusal, gray, camera) from None
+        raise _explained(refusal, gray, camera if source == "file" else None) from None
     picture = gray.astype(np.float32)
+    small = pyramid(gray, DETECTION_PIXELS)[0].astype(np.float32)
     if isinstance(found, Rows):
         fit = measure(picture, found.paving, Free(step_sigma=STEP_SIGMA))
-        settled = _rows_settled(picture, fit, found)
+        settled = _rows_settled(small, at_detection_scale(fit, small, found.paving), found)
         crossing = found.crossing
     else:
         if slab is not None and (mismatch := slab_mismatch(found.fit, slab)) is not None:
             raise mismatch
         start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
         fit = measure(picture, start, _freedom(camera, source, slab, width, height))
-        settled, crossing = settle_bond(picture, fit), None
+        settled, crossing = presented(small, at_detection_scale(fit, small, start)), None
         if settled is None or settled.margin_nats < 0:
             raise no_lattice(settled, None)
-        fit = settled.fit
     return _concluded(fit, settled, crossing, source, slab, camera_height)
 
 
-def find_paving(gray: np.ndarray, camera: Camera | None) -> Paving | Rows:
-    """The lattice that explains the photo best, at detection scale.
+def find_paving(
+    gray: np.ndarray, camera: Camera | None, slab: tuple[float, float] | None = None
+) -> Paving | Rows:
+    """The lattice that explains the photo best, at detection scale; of those that suit the slab, if any do.
 
     Raises:
         Refusal: none explains it better than chance.
@@ -119,20 +121,25 @@ def find_paving(gray: np.ndarray, camera: Camera | None) -> Paving | Rows:
             )
         ]
     ranked = comb_planes(small, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
-    best: Paving | None = None
+    best: tuple[Paving, ...] = ()
     for plane in ranked:
-        paving = lay_lattice(picture, plane, free)
-        if paving is not None and (best is None or paving.margin_nats > best.margin_nats):
-            best = paving
-        if best is not None and best.margin_nats > CERTAIN_NATS:
+        pavings = lay_lattice(picture, plane, free)
+        if slab is not None:
+            pavings = suited(picture, pavings, slab) or pavings
+        if pavings and (not best or pavings[0].margin_nats > best[0].margin_nats):
+            best = pavings
+        if best and best[0].margin_nats > CERTAIN_NATS:
             break
-    if best is not None and best.margin_nats > 0:
-        return best
+    if best and best[0].margin_nats > 0:
+        other = rival(best)
+        if other is not None:
+            raise ambiguous(best[0], other)
+        return best[0]
     fields = [lay_rows(picture, plane, segments, (width, height)) for plane in ranked]
     rows = max((r for r in fields if r is not None), key=lambda r: r.margin_nats, default=None)
     if rows is not None and rows.margin_nats > 0:
         return rows
-    raise no_lattice(best, rows)
+    raise no_lattice(best[0] if best else None, rows)
 
 
 def measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
@@ -151,6 +158,7 @@ def measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
         free=free,
         search=0.04,
         reach=REACH,
+        strip=replace(coarse.strip, polarity_known=True),
         field=field_polygon(paving.presence),
     )
     if fit is None:
@@ -173,6 +181,7 @@ def _concluded(
     told = fit.grid.spacing_x is not None
     pose = frame.pose(fit.cam_from_ground)
     units = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
+    covariance = frame.covariance(pose_covariance(fit), fit.cam_from_ground)
     return Alignment(
         width=fit.camera.width,
         height=fit.camera.height,
@@ -183,9 +192,7 @@ def _concluded(
             check.focal_px if told else None,
             check.focal_sigma_px if told else None,
         ),
-        pose=Pose(
-            Rigid(pose.R, scale * pose.t), units @ frame.covariance(pose_covariance(fit), fit.cam_from_ground) @ units
-        ),
+        pose=Pose(Rigid(pose.R, scale * pose.t), units @ covariance @ units),
         scale_source=scale_source,
         lattice=describe_lattice(fit, settled.presence, frame, scale),
         residual=measure_residual(fit),
@@ -193,8 +200,15 @@ def _concluded(
     )
 
 
-def _rows_settled(picture: np.ndarray, fit: Fit, rows: Rows) -> Paving:
-    presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+def at_detection_scale(fit: Fit, small: np.ndarray, found: Paving) -> Fit:
+    """A fit as the small picture shows it, where the presence of sides is judged."""
+    camera = fit.camera.scaled(small.shape[1], small.shape[0])
+    strip = replace(fit.strip, blur_px=found.fit.strip.blur_px, polarity=found.fit.strip.polarity)
+    return replace(fit, camera=camera, strip=strip)
+
+
+def _rows_settled(small: np.ndarray, fit: Fit, rows: Rows) -> Paving:
+    presence = side_presence(small, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
     if len(presence.p) < 6:
         raise no_lattice(None, rows)
     return Paving(fit, presence, rows.paving.evidence_nats)
@@ -245,7 +259,8 @@ def _check_arguments(
     camera_height: float | None,
 ) -> None:
     if camera is not None and (camera.width, camera.height) != (width, height):
-        raise ValueError(f"camera: is for {camera.width}x{camera.height} pixels, the photo has {width}x{height}")
+        size = f"{camera.width}x{camera.height}"
+        raise ValueError(f"camera: is for {size} pixels, the photo has {width}x{height}")
     if slab is not None and camera_height is not None:
         raise ValueError("slab, camera_height: give one of them, both set the scale")
     if slab is not None and not all(np.isfinite(s) and s > 0 for s in slab):

@@ -40,7 +40,10 @@ class BondHypothesis:
 
 @dataclass(frozen=True)
 class Courses:
-    """Log likelihood ratios of a joint at each place of each course; `index` k is the course from k to k + 1."""
+    """Log likelihood ratios of a joint at each place of each course.
+
+    `index` k is the course from k to k + 1.
+    """
 
     index: Float[np.ndarray, " c"]
     llr: Float[np.ndarray, "c n"]
@@ -61,11 +64,15 @@ def course_support(family: Family, comb: Comb) -> Courses:
     llr: list[np.ndarray] = []
     seen: list[np.ndarray] = []
     zs: list[np.ndarray] = []
-    for course, first, last in zip(k, np.ceil(start).astype(int), np.floor(stop).astype(int) + 1, strict=True):
+    firsts, lasts = np.ceil(start).astype(int), np.floor(stop).astype(int) + 1
+    for course, first, last in zip(k, firsts, lasts, strict=True):
         whole = (1 - 2 * MARGIN) * comb.spacing / float(np.median(step[max(0, first - 1) : last + 1]))
         if last - first < 4 or last - first < 0.5 * whole:
             continue
-        part = Family(family.evidence[:, first:last], family.visible[:, first:last], family.offset, along[first:last])
+        columns = slice(first, last)
+        part = Family(
+            family.evidence[:, columns], family.visible[:, columns], family.offset, along[columns]
+        )
         edges = np.rint(np.linspace(0, last - first, max(1, round((last - first) / 32)) + 1)).astype(int)
         support, samples = line_support(part, edges)
         counted = samples > 0.6 * np.diff(edges)
@@ -88,7 +95,9 @@ def course_support(family: Family, comb: Comb) -> Courses:
     )
 
 
-def best_bonds(courses: Courses, offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray, " a"]) -> np.ndarray:
+def best_bonds(
+    courses: Courses, offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray, " a"]
+) -> Float[np.ndarray, "a 3"]:
     """Best score, phase and shift for each spacing of the cross joints: an array of (score, phase, shift).
 
     The score is the mean over courses of the sum over cross joints.
@@ -141,14 +150,15 @@ def bond_hypotheses(rectified: Rectified, *, combs: int = 3, keep: int = 4) -> t
                 if min(lines, score * len(courses.index)) < WORTH_NATS:
                     continue
                 # Turned by a quarter, course k becomes course -1 - k.
-                origin = np.array([comb.phase, phase - shift * a]) if turned else np.array([phase, comb.phase])
-                grid = Grid(a, comb.spacing, _customary(float(-shift % 1.0 if turned else shift)))
-                found.append(BondHypothesis(grid, turned, origin, lines + float(score) * len(courses.index)))
+                origin = (comb.phase, phase - shift * a) if turned else (phase, comb.phase)
+                grid = Grid(a, comb.spacing, customary_shift(float(-shift % 1.0 if turned else shift)))
+                score_nats = lines + float(score) * len(courses.index)
+                found.append(BondHypothesis(grid, turned, np.array(origin), score_nats))
     found.sort(key=lambda h: -h.score)
     return tuple(found[:keep])
 
 
-def _customary(shift: float) -> float:
+def customary_shift(shift: float) -> float:
     """The shift in use by pavers next to a measured one, if there is one within the phases' resolution."""
     customs = np.array([0.0, 1 / 5, 1 / 4, 1 / 3, 2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 4 / 5, 1.0])
     nearest = float(customs[np.abs(customs - shift).argmin()])
@@ -170,7 +180,8 @@ def _cross_spacings(courses: Courses, cross: Family, comb: Comb, combs: tuple[Co
     seen = courses.seen[:, row].astype(float)
     # A hit is smeared over about one percent of the spacing that is looked for.
     power = np.zeros(AUTOCORRELATION)
-    for signal, sign in ((hits, 1.0), (seen * hits.sum(1, keepdims=True) / np.maximum(seen.sum(1, keepdims=True), 1.0), -1.0)):
+    flat = seen * hits.sum(1, keepdims=True) / np.maximum(seen.sum(1, keepdims=True), 1.0)
+    for signal, sign in ((hits, 1.0), (flat, -1.0)):
         spectrum = np.fft.rfft(signal, 2 * AUTOCORRELATION, axis=1)
         power += sign * np.fft.irfft((np.abs(spectrum) ** 2).sum(0))[:AUTOCORRELATION]
     power = np.convolve(power, np.ones(5) / 5, "same")
@@ -187,6 +198,7 @@ def _line_score(columns: Courses, offset: np.ndarray, comb: Comb) -> float:
     """Log likelihood ratio of a comb's lines, column by column."""
     if len(columns.index) == 0:
         return 0.0
-    k = np.arange(np.floor((offset[0] - comb.phase) / comb.spacing), np.ceil((offset[-1] - comb.phase) / comb.spacing) + 1)
-    row = np.rint(np.interp(comb.phase + k * comb.spacing, offset, np.arange(len(offset)), left=-1, right=-1)).astype(int)
+    first, last = (offset[[0, -1]] - comb.phase) / comb.spacing
+    at = comb.phase + np.arange(np.floor(first), np.ceil(last) + 1) * comb.spacing
+    row = np.rint(np.interp(at, offset, np.arange(len(offset)), left=-1, right=-1)).astype(int)
     return float(columns.llr[:, row[row >= 0]].sum())

@@ -12,14 +12,10 @@ from autoreg.alignment import JointFit, Residual
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice, LatticeKind
+from autoreg.paving import has_ratio
 from autoreg.presence import PRESENT, Presence, field_polygon
 from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
-
-
-# Logarithm by which the sides' ratio in the photo may differ from the given one: coarse fits, uneven slabs and
-# nominal sizes without the joint stay below it.
-RATIO_TOLERANCE = 0.08
 
 
 @dataclass(frozen=True)
@@ -165,8 +161,9 @@ def metric_scale(
             if abs(sides[1] / sides[0] - 1) > 0.01:
                 raise Refusal(
                     "ambiguous",
-                    f"only the unbroken joints repeat here, and either side of the {slab[0]:g} x {slab[1]:g} m "
-                    "slab may be the width of a row; give the row's width as one number with --slab",
+                    "only the unbroken joints repeat here, and either side of the "
+                    f"{slab[0]:g} x {slab[1]:g} m slab may be the width of a row; "
+                    "give the row's width as one number with --slab",
                     measured=2.0,
                     limit=1.0,
                 )
@@ -180,15 +177,13 @@ def metric_scale(
 def slab_mismatch(fit: Fit, slab: tuple[float, float]) -> Refusal | None:
     """The refusal of a slab whose sides cannot be those of the photo's lattice; None if they may be."""
     a, b = fit.grid.spacing_x, fit.grid.spacing_y
-    if a is None:
+    if a is None or has_ratio(fit.grid, slab):
         return None
     seen, told = max(a, b) / min(a, b), max(slab) / min(slab)
-    if abs(np.log(seen / told)) < RATIO_TOLERANCE:
-        return None
     return Refusal(
         "slab_mismatch",
-        f"the slabs in this photo have sides in the ratio {seen:.3f}, those given with --slab {told:.3f}; measure a "
-        "slab from joint to joint, or check that the camera belongs to this photo",
+        f"the slabs in this photo have sides in the ratio {seen:.3f}, those given with --slab {told:.3f}; "
+        "measure a slab from joint to joint, or check that the camera belongs to this photo",
         measured=round(float(seen), 4),
         limit=round(float(told), 4),
     )

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull, KDTree
 
 from autoreg.camera import Camera
 from autoreg.edges import sample_profiles, strip_support
@@ -53,7 +53,7 @@ class Presence:
     size_px: Float[np.ndarray, " n"]
 
     def llr(self, rows: np.ndarray) -> Float[np.ndarray, " k"]:
-        """Log likelihood ratios in nats of some sides being there, for the share of missed ones that suits."""
+        """Log likelihood ratios in nats of sides being there, for the share of missed ones that suits."""
         options = [p_llr(self.p[rows], missed) for missed in MISSED]
         return max(options, key=lambda llr: float(llr.sum()))
 
@@ -141,7 +141,9 @@ class Pattern:
     score: float
 
 
-def best_pattern(presence: Presence, family: int, periods: tuple[int, ...] = (1, 2, 3, 4, 5, 6)) -> list[Pattern]:
+def best_pattern(
+    presence: Presence, family: int, periods: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+) -> list[Pattern]:
     """Patterns of one family's sides, best first, by the sum of log likelihood ratios.
 
     Absent sides are held against a pattern that predicts them and for one that does not, so neither half
@@ -154,8 +156,9 @@ def best_pattern(presence: Presence, family: int, periods: tuple[int, ...] = (1,
         line, cell = near.sides.line[rows], near.sides.cell[rows]
         by_missed = [p_llr(near.p[rows], missed) for missed in MISSED]
         for m in periods:
-            cost = 0.0 if m == 1 else 2 * np.log(m) + DEPARTURE_NATS
             for q in range(m):
+                # Twice the spacing is as good a lattice as any; the others must earn their freedom.
+                cost = np.log(m) if q == 0 and m <= 2 else 2 * np.log(m) + DEPARTURE_NATS
                 residue = (line - cell * q) % m
                 sums = np.max([np.bincount(residue, weights=llr, minlength=m) for llr in by_missed], axis=0)
                 for r in range(m):
@@ -196,7 +199,7 @@ def field_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:
     middle = presence.sides.ends.mean(1)
     there = presence.p < PRESENT
     length = float(np.median(np.linalg.norm(presence.sides.ends[:, 1] - presence.sides.ends[:, 0], axis=1)))
-    pairs = cKDTree(middle).query_pairs(1.6 * length, output_type="ndarray")
+    pairs = KDTree(middle).query_pairs(1.6 * length, output_type="ndarray")
     both = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(len(middle)), 2).reshape(-1, 2)])
     share = np.bincount(both[:, 0], weights=there[both[:, 1]]) / np.bincount(both[:, 0])
     member = there & (share > FIELD_DENSITY)

@@ -1,4 +1,4 @@
-"""Refinement: the projected joints are laid on the photographed ones, measured again, until nothing changes."""
+"""Refinement: projected joints are laid on the photographed ones and measured again, until all is still."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ BLURS = (0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2)
 class Free:
     """What the solve may change besides the pose, and how far a prior lets it go.
 
-    `step_sigma` holds every single solve near its start: so many radians, and heights of the camera. Joints of
-    one direction leave motions free that must not wander.
+    `step_sigma` holds every single solve near its start: so many radians, and heights of the camera. Joints
+    of one direction leave motions free that must not wander.
     """
 
     ratio: bool = False
@@ -76,12 +76,13 @@ class Strip:
     """What a joint looks like: its width on the ground for either family, and the picture's blur.
 
     `polarity` is -1 where a family's joints are darker than their slabs, +1 where they are lighter, and 0
-    where they are neither (tiles of two tones that meet without a joint).
+    where they are neither (tiles of two tones that meet without a joint); once known, it is not asked again.
     """
 
     width: tuple[float, float]
     blur_px: float
     polarity: tuple[int, int] = (0, 0)
+    polarity_known: bool = False
 
 
 @dataclass(frozen=True)
@@ -214,23 +215,19 @@ def _round(
         start = _search(profiles, stations, strip, reach_px)
     else:
         start = np.zeros(len(stations))
-    for _ in range(2):
-        width_px = _width_px(strip, stations, profiles)
-        offsets = fit_offsets(profiles, start, np.minimum(width_px, 2 * half - 6), strip.blur_px)
-        usable = (offsets.strength > 0.25) & np.isfinite(offsets.offset_px) & (np.abs(offsets.offset_px) < reach_px + 1.5)
-        polarity = _polarity(profiles, stations, offsets.offset_px, strip, side)
-        sign = np.array(polarity)[stations.family]
-        usable &= (sign == 0) | (offsets.depth * sign > 0)
-        if usable.sum() < 12:
-            return None
-        strip = _estimate_strip(profiles, offsets, stations, replace(strip, polarity=polarity), usable, side)
-        start = offsets.offset_px
+    widest_px = 2 * half - 6
+    first = _measured(profiles, stations, start, strip, widest_px, reach_px, side)
+    if first is None:
+        return None
+    second = _measured(profiles, stations, first[0].offset_px, first[2], widest_px, reach_px, side)
+    if second is None:
+        return None
+    offsets, usable, strip = second
     sigma = np.hypot(offsets.sigma_px, 0.3)
     fit: Fit | None = None
     for _ in range(3):
-        solution = solve_joints(
-            joint_data(camera, pose, stations, profiles, offsets, sigma, usable), free.mask, free.prior(camera)
-        )
+        data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
+        solution = solve_joints(data, free.mask, free.prior(camera))
         if solution.outcome == "diverged":
             return fit
         distances = solution.distances_px
@@ -250,6 +247,31 @@ def _round(
             free=free,
         )
     return fit
+
+
+def _measured(
+    profiles: Profiles,
+    stations: Stations,
+    start: np.ndarray,
+    strip: Strip,
+    widest_px: float,
+    reach_px: np.ndarray,
+    side: np.ndarray,
+) -> tuple[Offsets, np.ndarray, Strip] | None:
+    """Offsets from a start, which of them can be used, and the joints' looks by those; None if too few."""
+    width_px = _width_px(strip, stations, profiles)
+    offsets = fit_offsets(profiles, start, np.minimum(width_px, widest_px), strip.blur_px)
+    usable = (offsets.strength > 0.25) & np.isfinite(offsets.offset_px)
+    usable &= np.abs(offsets.offset_px) < reach_px + 1.5
+    polarity = strip.polarity
+    if not strip.polarity_known:
+        polarity = _polarity(profiles, stations, offsets.offset_px, strip, side)
+    sign = np.array(polarity)[stations.family]
+    usable &= (sign == 0) | (offsets.depth * sign > 0)
+    if usable.sum() < 12:
+        return None
+    strip = _estimate_strip(profiles, offsets, stations, replace(strip, polarity=polarity), usable, side)
+    return offsets, usable, strip
 
 
 def _width_px(strip: Strip, stations: Stations, profiles: Profiles) -> np.ndarray:
@@ -305,21 +327,29 @@ def _polarity(
 
 
 def _estimate_strip(
-    profiles: Profiles, offsets: Offsets, stations: Stations, strip: Strip, usable: np.ndarray, side: np.ndarray
+    profiles: Profiles,
+    offsets: Offsets,
+    stations: Stations,
+    strip: Strip,
+    usable: np.ndarray,
+    side: np.ndarray,
 ) -> Strip:
     """Joint width of either family and blur, by least squares over a sample of the stations."""
     width, blur = list(strip.width), strip.blur_px
     samples: list[np.ndarray] = []
     for family in (ALONG_X, ALONG_Y):
         rows = np.flatnonzero(usable & (stations.family == family))
-        samples.append(rows[np.linspace(0, len(rows) - 1, min(len(rows), 120)).astype(int)] if len(rows) else rows)
+        if len(rows):
+            rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), 120)).astype(int)]
+        samples.append(rows)
     for _ in range(2):
         for family, rows in enumerate(samples):
             if len(rows) < 6:
                 continue
             across = side[1] if family == ALONG_X else side[0]
             options = across * WIDTHS
-            costs = [strip_misfit(profiles, rows, offsets.offset_px, w * profiles.px_per_unit, blur) for w in options]
+            widths_px = [w * profiles.px_per_unit for w in options]
+            costs = [strip_misfit(profiles, rows, offsets.offset_px, w, blur) for w in widths_px]
             width[family] = _lowest(np.log(options), np.array(costs))
             if strip.polarity[family] == 0:
                 # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
@@ -328,9 +358,9 @@ def _estimate_strip(
                 some = profiles.take(rows)
                 misfits: list[float] = []
                 for idea in ideas:
-                    own = fit_offsets(some, offsets.offset_px[rows], idea * some.px_per_unit, blur, iterations=4)
-                    everyone = np.arange(len(rows))
-                    misfits.append(strip_misfit(some, everyone, own.offset_px, idea * some.px_per_unit, blur))
+                    wide = idea * some.px_per_unit
+                    own = fit_offsets(some, offsets.offset_px[rows], wide, blur, iterations=4)
+                    misfits.append(strip_misfit(some, np.arange(len(rows)), own.offset_px, wide, blur))
                 if misfits[1] < misfits[0] + NO_JOINT_BONUS:
                     width[family] = NO_JOINT * across
         rows = np.concatenate(samples)
@@ -375,7 +405,11 @@ def joint_data(
 
 
 def scatter_model(
-    distances: np.ndarray, sigma_fit: np.ndarray, px_per_unit: np.ndarray, side: np.ndarray, usable: np.ndarray
+    distances: np.ndarray,
+    sigma_fit: np.ndarray,
+    px_per_unit: np.ndarray,
+    side: np.ndarray,
+    usable: np.ndarray,
 ) -> Float[np.ndarray, " n"]:
     """Expected scatter of each station: its own measurement, and the slabs' irregularity on the ground.
 
@@ -391,7 +425,7 @@ def scatter_model(
             variance = (share_s * s) ** 2 + (share_u * u) ** 2 + 1e-6
             # Half the spread is a Cauchy's scale for normal residuals.
             gamma2 = 0.45 * variance
-            cost = float(np.sum(0.5 * np.log(gamma2) + np.log1p(r * r / gamma2) - 0.5 * np.log(gamma2) * 0))
+            cost = float(np.sum(0.5 * np.log(gamma2) + np.log1p(r * r / gamma2)))
             if cost < best[0]:
                 best = (cost, share_s, share_u)
     _, share_s, share_u = best

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from autoreg.errors import Refusal
-from autoreg.paving import FALSE_ALARM_NATS, TESTED_NATS, Paving
+from autoreg.paving import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows import Rows
 
 # A camera's focal length must differ by this much before it is blamed for a refusal.
@@ -22,8 +22,8 @@ def no_lattice(best: Paving | None, rows: Rows | None) -> Refusal:
     if strongest > single:
         return Refusal(
             "one_direction",
-            "only one family of parallel joints repeats here, and the joints across it could be chance, so the "
-            "pose is not determined; take a photo that shows joints in both directions",
+            "only one family of parallel joints repeats here, and the joints across it could be chance, so "
+            "the pose is not determined; take a photo that shows joints in both directions",
             measured=round(min(best.evidence_nats) if best else 0.0, 2),
             limit=round(0.5 * TESTED_NATS, 2),
         )
@@ -31,19 +31,37 @@ def no_lattice(best: Paving | None, rows: Rows | None) -> Refusal:
     if best is not None and len(best.presence.p) < FEW_SIDES and best.margin_nats > -0.5 * TESTED_NATS:
         return Refusal(
             "too_few_joints",
-            f"a lattice may be there, but only {len(best.presence.p)} slab sides are in view, too few to tell it "
-            "from chance; step back or tilt the camera so that more slabs are seen",
+            f"a lattice may be there, but only {len(best.presence.p)} slab sides are in view, too few to "
+            "tell it from chance; step back or tilt the camera so that more slabs are seen",
             measured=round(evidence, 2),
             limit=round(TESTED_NATS + FALSE_ALARM_NATS, 2),
         )
     return Refusal(
         "no_lattice",
-        "no lattice of slabs explains this picture better than chance (evidence in nats, against what as many "
-        "tried lattices reach by luck once in a thousand photos); take a photo in which two or more rows of "
-        "slabs and their cross joints are clearly seen",
+        "no lattice of slabs explains this picture better than chance (evidence in nats, against what as "
+        "many tried lattices reach by luck once in a thousand photos); take a photo in which two or more "
+        "rows of slabs and their cross joints are clearly seen",
         measured=round(evidence, 2),
         limit=round(TESTED_NATS + FALSE_ALARM_NATS, 2),
     )
+
+
+def ambiguous(best: Paving, other: Paving) -> Refusal:
+    """The refusal of a photo that two lattices explain equally well; both are named, in camera heights."""
+    return Refusal(
+        "ambiguous",
+        f"two lattices explain this picture equally well: {_named(best)}, and {_named(other)}; "
+        "take a photo that shows more slabs, or more sharply",
+        measured=round(best.margin_nats - other.margin_nats, 2),
+        limit=RIVAL_NATS,
+    )
+
+
+def _named(paving: Paving) -> str:
+    grid = paving.grid
+    height = float(paving.fit.cam_from_ground.origin_in_a[2])
+    bond = f"running bond with shift {grid.shift:.2f}" if grid.shift else "stack bond"
+    return f"{bond} of {(grid.spacing_x or 0.0) / height:.3f} x {grid.spacing_y / height:.3f} camera heights"
 
 
 def camera_contradicted(given_px: float, from_photo_px: float) -> Refusal | None:
@@ -53,9 +71,9 @@ def camera_contradicted(given_px: float, from_photo_px: float) -> Refusal | None
         return None
     return Refusal(
         "camera_contradicted",
-        f"no lattice fits this camera's focal length of {given_px:.0f} px, but one fits {from_photo_px:.0f} px "
-        f"({100 * share:+.0f} %); the camera file belongs to another camera, zoom or picture size: check it "
-        "with its calibration, or leave --camera out",
+        f"no lattice fits this camera's focal length of {given_px:.0f} px, but one fits "
+        f"{from_photo_px:.0f} px ({100 * share:+.0f} %); the camera file belongs to another "
+        "camera, zoom or picture size: check it with its calibration, or leave --camera out",
         measured=round(from_photo_px, 1),
         limit=round(given_px, 1),
     )

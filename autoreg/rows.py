@@ -15,7 +15,7 @@ from scipy.stats import poisson
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.paving import FALSE_ALARM_NATS, QUARTER_TURN, TESTED_NATS, Paving, PlaneCombs, line_evidence
-from autoreg.presence import best_pattern, broken, field_polygon, side_presence, with_origin
+from autoreg.presence import PRESENT, best_pattern, broken, field_polygon, side_presence, with_origin
 from autoreg.refine import Fit, Free, refine
 from autoreg.segments import Segments
 from autoreg.stations import ALONG_X, Grid
@@ -27,6 +27,7 @@ RIGHT_RAD, OBLIQUE_RAD = np.radians(4.0), np.radians(15.0)
 STEP_SIGMA = 0.004
 # Combs with less are not looked into.
 WORTH_NATS = 6.0
+FEWEST_LINES = 6
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,9 @@ class Rows:
         return min(x - 0.5 * TESTED_NATS - FALSE_ALARM_NATS, y - FALSE_ALARM_NATS)
 
 
-def lay_rows(picture: Float[np.ndarray, "h w"], plane: PlaneCombs, segments: Segments, size: tuple[int, int]) -> Rows | None:
+def lay_rows(
+    picture: Float[np.ndarray, "h w"], plane: PlaneCombs, segments: Segments, size: tuple[int, int]
+) -> Rows | None:
     """The best field of rows on a plane, or None if it shows none.
 
     `size` is the photo's width and height, in whose pixels the segments are.
@@ -101,17 +104,21 @@ def _refined(
     cross = find_cross_joints(segments, fit, field_polygon(presence), size)
     if len(cross.middle) == 0:
         return None
+    # Fewer lines do not fix the tilt of the ground by their spacing.
+    if len(np.unique(presence.sides.line[presence.p < PRESENT])) < FEWEST_LINES:
+        return None
     x, _ = line_evidence(presence, fit.grid)
     middle = np.median(cross.middle, axis=0)
     crossing = cross.middle[np.linalg.norm(cross.middle - middle, axis=1).argmin()]
     spacing = fit.grid.spacing_y
-    return Rows(Paving(fit, presence, (x, cross.evidence_nats)), np.array([crossing[0], round(crossing[1] / spacing) * spacing]))
+    on_joint = np.array([crossing[0], round(crossing[1] / spacing) * spacing])
+    return Rows(Paving(fit, presence, (x, cross.evidence_nats)), on_joint)
 
 
 def find_cross_joints(
     segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]
 ) -> CrossJoints:
-    """Segments of the field that lie at right angles to the unbroken joints, against those of any direction."""
+    """Segments of the field at right angles to the unbroken joints, against those of any direction."""
     camera = fit.camera.scaled(*size)
     pose = fit.cam_from_ground
     rays = camera.unproject(segments.ends_px.reshape(-1, 2)) @ pose.R

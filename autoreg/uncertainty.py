@@ -87,12 +87,12 @@ def _neighbour_weights(fit: Fit, representative: np.ndarray) -> Float[np.ndarray
 
 def pose_covariance(fit: Fit) -> Float[np.ndarray, "6 6"]:
     """Covariance of (rotation vector, translation) of a small motion on the camera's side."""
-    C = parameter_covariance(fit, fit.free.mask, fit.free.prior(fit.camera))[:6, :6]
+    solved = parameter_covariance(fit, fit.free.mask, fit.free.prior(fit.camera))[:6, :6]
     # The solve turns the translation as well: t = exp(w) t0 + dt.
     x, y, z = fit.cam_from_ground.t
     A = np.eye(6)
     A[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    C = A @ C @ A.T
+    C = A @ solved @ A.T
     return 0.5 * (C + C.T)
 
 
@@ -103,7 +103,9 @@ def check_camera(fit: Fit) -> CameraCheck:
     held by priors as wide as a good calibration may be off. A camera is contradicted when the joints pull
     it far beyond these against the priors' resistance.
     """
-    data = joint_data(fit.camera, fit.cam_from_ground, fit.stations, fit.profiles, fit.offsets, fit.sigma_px, fit.usable)
+    data = joint_data(
+        fit.camera, fit.cam_from_ground, fit.stations, fit.profiles, fit.offsets, fit.sigma_px, fit.usable
+    )
     mask = Free(ratio=fit.free.ratio, focal=True).mask
     alone = solve_joints(data, mask)
     focal = float(np.exp(alone.parameters[terms.FOCAL]))

@@ -22,9 +22,16 @@ STACK = SyntheticScene(
 HALF_BOND = replace(STACK, spacing_m=(0.6, 0.3), shift=0.5, seed=2)
 THIRD_BOND = replace(STACK, spacing_m=(0.6, 0.3), shift=1 / 3, seed=3)
 CHECKER = replace(
-    STACK, spacing_m=(0.4, 0.4), slab_tone=190.0, second_tone=70.0, joint_width_m=0.001, joint_tone=130.0, seed=4
+    STACK,
+    spacing_m=(0.4, 0.4),
+    slab_tone=190.0,
+    second_tone=70.0,
+    joint_width_m=0.001,
+    joint_tone=130.0,
+    seed=4,
 )
 GRAVEL = replace(STACK, kind="gravel", seed=6)
+POSE_ALONE = Free()
 
 
 def gray_of(photo: SyntheticPhoto) -> np.ndarray:
@@ -50,9 +57,9 @@ def true_grid(photo: SyntheticPhoto) -> Grid:
     return Grid(lattice.spacing_x, lattice.spacing_y, lattice.shift)
 
 
-def fit_of(photo: SyntheticPhoto, free: Free = Free(), *, turn_deg: float = 0.2, move_m: float = 0.005) -> Fit:
+def fit_of(photo: SyntheticPhoto, free: Free = POSE_ALONE) -> Fit:
     """The refined fit of a photo, started a little off its true pose."""
-    start = nudged(photo.cam_from_ground, turn_deg, move_m)
+    start = nudged(photo.cam_from_ground, turn_deg=0.2, move_m=0.005)
     fit = refine(
         gray_of(photo), photo.camera, start, true_grid(photo), free=free, search=0.1, reaches=(3.0, 6.0, 9.0)
     )
@@ -61,12 +68,12 @@ def fit_of(photo: SyntheticPhoto, free: Free = Free(), *, turn_deg: float = 0.2,
 
 
 def symmetric_poses(pose: Rigid, grid: Grid) -> list[Rigid]:
-    """`cam_from_ground` for every frame, up to whole slabs, in which the lattice looks as it does in this one.
+    """`cam_from_ground` for every frame, up to whole slabs, in which the lattice looks as it does here.
 
-    A stack has all quarter turns about a crossing (the sides change roles at odd ones); a running bond half
-    turns, about the crossing with row -1's cross joint, because row 0 lies on the other side afterwards.
+    A stack has all quarter turns about a crossing, the sides changing roles at odd ones; a running bond has
+    half turns, about the T-joint of row -1, because row 0 lies on the other side afterwards.
     """
-    a, b = grid.spacing_x or grid.spacing_y, grid.spacing_y
+    a = grid.spacing_x or grid.spacing_y
     poses: list[Rigid] = []
     for q in range(4):
         if q % 2 and grid.shift:

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from paved import CHECKER, HALF_BOND, STACK, THIRD_BOND, misses
+
+import autoreg
+from autoreg.alignment import Alignment
+from autoreg.camera import Camera
+from autoreg.camera_files import read_camera
+from autoreg.errors import Refusal
+from autoreg.geometry import Rigid
+from autoreg.lattice import Lattice
+from autoreg.synthetic import SyntheticPhoto, render_paving
+
+ROOT = Path(__file__).resolve().parents[1]
+FIXTURES = ROOT / "fixtures"
+SCENES = ROOT.parent / "shared" / "scenes"
+
+
+@dataclass(frozen=True)
+class Told:
+    """A photo of a folder of ray-traced scenes, with what its truth says."""
+
+    photo: SyntheticPhoto
+    slab: tuple[float, float]
+
+
+def ray_traced(folder: Path, name: str) -> Told:
+    truth = json.loads((folder / f"{name}.truth.json").read_text())
+    pixels = cv2.imread(str(folder / f"{name}.jpg"))
+    assert pixels is not None
+    a, b = truth["slab"]
+    lattice = Lattice("running" if truth["bond"] else "stack", a, b, truth["bond"], 0.01, np.zeros((0, 2)))
+    camera = read_camera(folder / f"{name}.camera.json")
+    pose = Rigid(np.array(truth["R"]), np.array(truth["t"]))
+    return Told(SyntheticPhoto(pixels, camera, pose, lattice), (a, b))
+
+
+def spacing_of(found: Alignment) -> tuple[float, float]:
+    assert found.lattice.spacing_x is not None
+    return found.lattice.spacing_x, found.lattice.spacing_y
+
+
+def miss_of(found: Alignment, photo: SyntheticPhoto) -> tuple[float, float]:
+    return misses(found.pose.cam_from_ground, spacing_of(found), photo)
+
+
+PAVED = {
+    "stack": STACK,
+    "half bond": HALF_BOND,
+    "third bond": THIRD_BOND,
+    "checker": CHECKER,
+    "light joints": replace(STACK, joint_tone=215.0, slab_tone=120.0, seed=5),
+}
+
+
+@cache
+def drawn(name: str) -> SyntheticPhoto:
+    return render_paving(PAVED[name])
+
+
+@cache
+def aligned(name: str) -> Alignment:
+    """The alignment of a synthetic scene whose camera and slab are told."""
+    photo = drawn(name)
+    return autoreg.align(photo.pixels, photo.camera, slab=PAVED[name].spacing_m)
+
+
+@pytest.mark.parametrize("name", PAVED)
+def test_each_bond_is_found_with_its_pose(name: str):
+    scene = PAVED[name]
+    found = aligned(name)
+    angle_deg, crossing_px = miss_of(found, drawn(name))
+    assert angle_deg < 0.02
+    assert crossing_px < 0.2
+    assert found.lattice.kind == ("running" if scene.shift else "stack")
+    assert found.lattice.shift == pytest.approx(scene.shift)
+    # Neither half nor twice the slabs: the scale is the slab's, so it shows in the height.
+    assert sorted(spacing_of(found)) == pytest.approx(sorted(scene.spacing_m), rel=1e-6)
+    assert found.pose.cam_from_ground.origin_in_a[2] == pytest.approx(1.6, rel=0.002)
+    assert found.camera.source == "file"
+    assert found.camera.consistent
+    assert found.residual.rms_px < 0.1
+
+
+def test_the_stated_covariance_is_of_the_size_of_the_error():
+    found, photo = aligned("stack"), drawn("stack")
+    covariance = found.pose.covariance
+    assert covariance == pytest.approx(covariance.T)
+    assert np.linalg.eigvalsh(covariance)[0] > 0
+    angle_deg, _ = miss_of(found, photo)
+    sigma_deg = np.rad2deg(np.sqrt(np.trace(covariance[:3, :3])))
+    assert 0.1 * angle_deg < sigma_deg < 0.1
+
+
+def test_the_same_photo_gives_the_same_answer_twice():
+    photo = drawn("stack")
+    once, again = aligned("stack"), autoreg.align(photo.pixels, photo.camera, slab=(0.4, 0.6))
+    # The order in which the slab's sides are told does not matter either.
+    assert (once.pose.cam_from_ground.R == again.pose.cam_from_ground.R).all()
+    assert (once.pose.cam_from_ground.t == again.pose.cam_from_ground.t).all()
+    assert once.residual == again.residual
+    assert len(once.joints) == len(again.joints)
+
+
+def test_without_a_camera_the_photos_own_joints_tell_its_focal_length():
+    photo = drawn("stack")
+    found = autoreg.align(photo.pixels, None, slab=STACK.spacing_m)
+    assert found.camera.source == "photo"
+    assert found.camera.camera.fx == pytest.approx(photo.camera.fx, rel=0.05)
+    assert found.camera.consistent is None
+    angle_deg, _ = miss_of(found, replace(photo, camera=found.camera.camera))
+    assert angle_deg < 1.5
+
+
+def test_ground_without_a_lattice_is_refused_by_name(gravel_photo: SyntheticPhoto):
+    with pytest.raises(Refusal) as caught:
+        autoreg.align(gravel_photo.pixels, gravel_photo.camera, slab=(0.4, 0.4))
+    assert caught.value.code in {"no_lattice", "one_direction", "too_few_joints", "not_ground"}
+    assert caught.value.exit_code == 3
+    assert len(caught.value.message) > 40
+
+
+def test_a_blank_photo_is_refused_by_name():
+    camera = Camera.from_focal(320, 240, 300.0)
+    with pytest.raises(Refusal):
+        autoreg.align(np.full((240, 320), 128, np.uint8), camera, slab=(0.4, 0.4))
+
+
+@pytest.mark.parametrize("name", ["terrace", "running_bond"])
+def test_the_fixtures_are_aligned_with_what_povray_drew(name: str):
+    told = ray_traced(FIXTURES, name)
+    found = autoreg.align(told.photo.pixels, told.photo.camera, slab=told.slab)
+    angle_deg, crossing_px = miss_of(found, told.photo)
+    assert angle_deg < 0.1
+    assert crossing_px < 1.0
+    assert found.lattice.shift == pytest.approx(0.5 if name == "running_bond" else 0.0)
+    assert sorted(spacing_of(found)) == pytest.approx(sorted(told.slab))
+
+
+def test_the_crazy_paving_of_the_fixtures_is_refused():
+    told = ray_traced(FIXTURES, "crazy_paving")
+    with pytest.raises(Refusal):
+        autoreg.align(told.photo.pixels, told.photo.camera, slab=told.slab)
+
+
+@pytest.mark.skipif(not SCENES.is_dir(), reason="needs the ray-traced scenes beside the repository")
+@pytest.mark.parametrize("name", ["open-easy-0", "open-lens"])
+def test_ray_traced_scenes_are_aligned(name: str):
+    told = ray_traced(SCENES, name)
+    found = autoreg.align(told.photo.pixels, told.photo.camera, slab=told.slab)
+    angle_deg, crossing_px = miss_of(found, told.photo)
+    assert angle_deg < 0.1
+    assert crossing_px < 1.5

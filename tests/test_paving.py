@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from paved import GRAVEL, gray_of, misses, nudged
+
+from autoreg.paving import comb_planes, lay_lattice, rival, settle_bond, with_pattern
+from autoreg.presence import Pattern
+from autoreg.refine import Fit, Free, Strip
+from autoreg.segments import detect_segments
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, slab_sides
+from autoreg.synthetic import SyntheticPhoto
+
+ALL = Pattern(1, 0, 0, 0.0)
+
+
+def segments_of(photo: SyntheticPhoto):
+    return detect_segments(photo.pixels.mean(-1).astype(np.uint8))
+
+
+def spacing_of(fit: Fit) -> tuple[float, float]:
+    assert fit.grid.spacing_x is not None
+    return fit.grid.spacing_x, fit.grid.spacing_y
+
+
+def in_metres(fit: Fit, photo: SyntheticPhoto) -> Fit:
+    """The fit in the unit of the photo's own frame, by the slabs' area."""
+    a, b = spacing_of(fit)
+    lattice = photo.lattice
+    assert lattice is not None
+    assert lattice.spacing_x is not None
+    scale = float(np.sqrt(lattice.spacing_x * lattice.spacing_y / (a * b)))
+    pose = replace(fit.cam_from_ground, t=scale * fit.cam_from_ground.t)
+    return replace(fit, cam_from_ground=pose, grid=Grid(scale * a, scale * b, fit.grid.shift))
+
+
+def patterns(grid: Grid) -> list[tuple[Pattern, Pattern]]:
+    """Every pattern of one family's sides up to a period of four; of a running bond, of its columns alone."""
+    ways = [
+        Pattern(period, advance, phase, 0.0)
+        for period in (2, 3, 4)
+        for advance in range(period)
+        for phase in range(period)
+    ]
+    return [(ALL, way) for way in ways] + ([] if grid.shift else [(way, ALL) for way in ways])
+
+
+def joint_points(grid: Grid, x: Pattern, y: Pattern) -> tuple[np.ndarray, np.ndarray]:
+    """Middles of a lattice's sides near the origin, and whether the patterns say that they are there."""
+    sides = slab_sides(grid, np.full(2, -2.0), np.full(2, 2.0))
+    there = np.zeros(len(sides), bool)
+    for family, pattern in ((ALONG_X, x), (ALONG_Y, y)):
+        residue = (sides.line - sides.cell * pattern.advance) % pattern.period
+        there |= (sides.family == family) & (residue == pattern.phase)
+    # A third of the way along, so that no point is a crossing of another line of the finer lattice.
+    return sides.ends[:, 0] + (sides.ends[:, 1] - sides.ends[:, 0]) * 0.37, there
+
+
+def lies_on(grid: Grid, points: np.ndarray) -> np.ndarray:
+    """Which points lie on a joint of a lattice."""
+    a, b = grid.spacing_x or 1.0, grid.spacing_y
+    row, column = points[:, 1] / b, points[:, 0] / a
+    on_x = np.abs(row - np.round(row)) < 1e-6
+    moved = column - np.floor(row) * grid.shift
+    return on_x | (np.abs(moved - np.round(moved)) < 1e-6)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1 / 2])
+def test_the_lattice_that_a_pattern_means_has_the_sides_that_are_there_and_no_others(
+    stack_fit: Fit, shift: float
+):
+    grid = Grid(0.3, 0.5, shift)
+    before = replace(stack_fit, grid=grid, strip=Strip((0.01, 0.02), 0.8, (-1, 1)))
+    for x, y in patterns(grid):
+        after = with_pattern(before, x, y)
+        assert after is not None
+        points, there = joint_points(grid, x, y)
+        flat = np.column_stack([points, np.zeros(len(points))])
+        told = after.cam_from_ground.inverse.apply(before.cam_from_ground.apply(flat))
+        assert told[:, 2] == pytest.approx(0.0, abs=1e-9)
+        assert (lies_on(after.grid, told[:, :2]) == there).all()
+        # If X and Y have changed roles, so have the widths of their joints.
+        turned = abs(after.cam_from_ground.R[:, 0] @ before.cam_from_ground.R[:, 0]) < 0.5
+        assert after.strip.width == ((0.02, 0.01) if turned else (0.01, 0.02))
+
+
+def test_a_lattice_of_which_every_side_is_there_stays(stack_fit: Fit):
+    assert with_pattern(stack_fit, ALL, ALL) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [
+        ("stack", Grid(0.3, 0.4)),
+        ("stack", Grid(0.6, 0.2)),
+        ("stack", Grid(0.3, 0.2)),
+        ("stack", Grid(1.2, 0.4)),
+        ("half", Grid(0.3, 0.3)),
+    ],
+    ids=["half columns", "half rows", "both halved", "double columns", "bond read as a stack"],
+)
+def test_too_fine_and_too_coarse_lattices_settle_on_the_one_that_is_there(
+    name: str, start: Grid, request: pytest.FixtureRequest
+):
+    fit: Fit = request.getfixturevalue(f"{name}_fit")
+    photo: SyntheticPhoto = request.getfixturevalue(f"{name}_photo")
+    settled = settle_bond(gray_of(photo), replace(fit, grid=start))
+    assert settled is not None
+    assert settled.margin_nats > 0
+    assert sorted(spacing_of(settled.fit)) == pytest.approx(sorted(spacing_of(fit)))
+    assert settled.grid.shift == pytest.approx(fit.grid.shift)
+    angle_deg, crossing_px = misses(settled.fit.cam_from_ground, spacing_of(settled.fit), photo)
+    assert angle_deg < 0.01
+    assert crossing_px < 0.1
+
+
+@pytest.mark.parametrize("name", ["stack", "half"])
+def test_from_a_roughly_known_plane_to_the_lattice(name: str, request: pytest.FixtureRequest):
+    photo: SyntheticPhoto = request.getfixturevalue(f"{name}_photo")
+    true = photo.cam_from_ground
+    wrong = nudged(true, 12.0, 0.0, 4)
+    planes = comb_planes(
+        photo.pixels.mean(-1).astype(np.uint8),
+        segments_of(photo),
+        [(photo.camera, wrong.R), (photo.camera, nudged(true, 0.5, 0.0, 3).R)],
+        free_focal=False,
+    )
+    assert len(planes) == 2
+    assert planes[0].score > planes[1].score
+    up = [plane.R[:, 2] @ true.R[:, 2] for plane in planes]
+    assert np.rad2deg(np.arccos(np.clip(up[0], -1, 1))) < 1.0
+    pavings = lay_lattice(gray_of(photo), planes[0], Free(ratio=True))
+    assert pavings[0].margin_nats > 0
+    assert rival(pavings) is None
+    fit = in_metres(pavings[0].fit, photo)
+    angle_deg, crossing_px = misses(fit.cam_from_ground, spacing_of(fit), photo)
+    assert angle_deg < 0.05
+    assert crossing_px < 0.3
+
+
+def test_no_lattice_is_laid_on_gravel(gravel_photo: SyntheticPhoto):
+    planes = comb_planes(
+        gravel_photo.pixels.mean(-1).astype(np.uint8),
+        segments_of(gravel_photo),
+        [(gravel_photo.camera, GRAVEL.cam_from_ground.R)],
+        free_focal=False,
+    )
+    pavings = [p for plane in planes for p in lay_lattice(gray_of(gravel_photo), plane, Free(ratio=True))]
+    assert all(paving.margin_nats < 0 for paving in pavings)

@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paved import CAMERA, STACK, gray_of
+
+from autoreg.presence import (
+    Presence,
+    best_pattern,
+    field_polygon,
+    p_llr,
+    side_presence,
+    with_origin,
+)
+from autoreg.refine import Fit, Strip
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, inside_convex, slab_sides
+from autoreg.synthetic import SyntheticPhoto, look_at_ground
+
+DARK = Strip((0.01, 0.01), 0.8, (-1, -1))
+
+
+def made_presence(there: np.ndarray) -> Presence:
+    """Sides of a lattice of which some are there: clear p-values for them, uniform ones for the others."""
+    rng = np.random.default_rng(0)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    p = np.where(there, rng.beta(0.2, 2.0, len(sides)), rng.uniform(size=len(sides)))
+    return Presence(sides, np.maximum(p, 1e-3), np.full(len(sides), 20.0))
+
+
+def presence_of(photo: SyntheticPhoto, grid: Grid, strip: Strip = DARK) -> Presence:
+    return side_presence(gray_of(photo), photo.camera, photo.cam_from_ground, grid, strip)
+
+
+def test_the_sides_of_the_photographed_lattice_are_there(stack_photo: SyntheticPhoto):
+    presence = presence_of(stack_photo, Grid(0.6, 0.4))
+    assert len(presence.p) > 60
+    for family in (ALONG_X, ALONG_Y):
+        assert np.mean(presence.p[presence.sides.family == family] < 0.1) > 0.9
+
+
+def test_the_sides_that_a_lattice_too_fine_puts_between_the_joints_are_not(stack_photo: SyntheticPhoto):
+    presence = presence_of(stack_photo, Grid(0.3, 0.4))
+    columns = presence.sides.family == ALONG_Y
+    odd = columns & (presence.sides.line % 2 == 1)
+    assert np.median(presence.p[columns & ~odd]) < 0.05
+    assert np.median(presence.p[odd]) > 0.3
+
+
+def test_on_gravel_the_p_values_are_uniform(gravel_photo: SyntheticPhoto):
+    p = presence_of(gravel_photo, Grid(0.37, 0.31), replace(DARK, polarity=(0, 0))).p
+    assert len(p) > 150
+    for level in (0.1, 0.3, 0.5, 0.8):
+        # Sides beside one another see the same stones, so that the spread is wider than a binomial's.
+        assert np.mean(p <= level) == pytest.approx(level, abs=0.1)
+
+
+def test_a_joint_of_the_other_tone_is_not_there(stack_photo: SyntheticPhoto):
+    light = presence_of(stack_photo, Grid(0.6, 0.4), replace(DARK, polarity=(1, 1)))
+    assert np.mean(light.p < 0.1) < 0.3
+
+
+def test_a_camera_that_looks_at_the_sky_sees_no_side():
+    up = look_at_ground(pitch_deg=-40.0, height_m=1.6)
+    flat = np.zeros((CAMERA.height, CAMERA.width), np.float32)
+    assert len(side_presence(flat, CAMERA, up, Grid(0.4, 0.4), DARK).p) == 0
+
+
+@pytest.mark.parametrize("missed", [0.1, 0.4, 0.7])
+def test_chance_is_worth_one_on_average(missed: float):
+    # The substitution p = q^5 takes out the density's pole at zero.
+    q = np.linspace(1e-6, 1.0, 200_001)
+    assert np.trapezoid(np.exp(p_llr(q**5, missed)) * 5 * q**4, q) == pytest.approx(1.0, abs=1e-3)
+
+
+@given(st.floats(1e-4, 1.0), st.floats(1e-4, 1.0))
+@settings(deadline=None, derandomize=True, max_examples=40)
+def test_a_smaller_p_value_speaks_more_for_a_side(p: float, q: float):
+    low, high = p_llr(np.array([max(p, q), min(p, q)]), 0.25)
+    assert low <= high
+
+
+def test_the_nearest_share_is_that_of_the_largest_sides(stack_photo: SyntheticPhoto):
+    presence = presence_of(stack_photo, Grid(0.6, 0.4))
+    near = presence.nearest(0.25)
+    assert len(near.p) == round(0.25 * len(presence.p))
+    assert near.size_px.min() >= np.sort(presence.size_px)[-len(near.p)]
+
+
+@pytest.mark.parametrize(
+    ("period", "advance", "phase"), [(2, 0, 1), (2, 1, 0), (3, 1, 2), (3, 2, 1), (4, 2, 3), (5, 2, 0)]
+)
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_the_pattern_of_absent_sides_is_found(period: int, advance: int, phase: int, family: int):
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    residue = (sides.line - sides.cell * advance) % period
+    there = (sides.family != family) | (residue == phase)
+    best = best_pattern(made_presence(there), family)[0]
+    assert (best.period, best.advance, best.phase) == (period, advance, phase)
+    other = ALONG_Y if family == ALONG_X else ALONG_X
+    assert best_pattern(made_presence(there), other)[0].period == 1
+
+
+def test_where_all_sides_are_there_none_is_left_out():
+    patterns = best_pattern(made_presence(np.array(True)), ALONG_X)
+    assert patterns[0].period == 1
+    assert patterns[0].score > patterns[1].score > 0
+
+
+def test_some_sides_missing_at_random_are_no_pattern():
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    there = np.random.default_rng(5).uniform(size=len(sides)) > 0.3
+    assert best_pattern(made_presence(there), ALONG_Y)[0].period == 1
+
+
+def test_the_field_is_where_the_sides_are_there_and_convex():
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    middle = sides.ends.mean(1)
+    paved = (middle < 5.01).all(1)
+    field = field_polygon(made_presence(paved))
+    assert inside_convex(middle[paved & (middle > 0.9).all(1) & (middle < 4.1).all(1)], field, 0.0).all()
+    beyond = inside_convex(middle, field, 0.0) & ~(middle < 7.1).all(1)
+    assert not beyond.any()
+    edge = np.roll(field, -1, axis=0) - field
+    turn = edge[:, 0] * np.roll(edge[:, 1], -1) - edge[:, 1] * np.roll(edge[:, 0], -1)
+    assert (turn > 0).all()
+
+
+def test_a_lone_side_far_off_does_not_stretch_the_field():
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    middle = sides.ends.mean(1)
+    paved = (middle < 4.01).all(1)
+    presence = Presence(sides, np.where(paved, 0.01, 0.9), np.full(len(sides), 20.0))
+    p = presence.p.copy()
+    p[np.linalg.norm(middle, axis=1).argmax()] = 0.01
+    assert field_polygon(replace(presence, p=p)) == pytest.approx(field_polygon(presence))
+
+
+def test_no_sides_span_no_field():
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 3.0)).take(np.zeros(0, int))
+    with pytest.raises(ValueError, match="no sides"):
+        field_polygon(Presence(sides, np.zeros(0), np.zeros(0)))
+
+
+def test_the_origin_moves_on_the_ground_and_the_camera_stays(stack_fit: Fit):
+    pose = stack_fit.cam_from_ground
+    moved = with_origin(pose, 0.6, -0.4)
+    assert (moved.R == pose.R).all()
+    assert moved.apply(np.zeros(3)) == pytest.approx(pose.apply(np.array([0.6, -0.4, 0.0])))
+    assert moved.origin_in_a == pytest.approx(pose.origin_in_a - [0.6, -0.4, 0.0])
+
+
+def test_the_same_photo_gives_the_same_p_values_twice(stack_photo: SyntheticPhoto):
+    once, again = (presence_of(stack_photo, Grid(*STACK.spacing_m)) for _ in range(2))
+    assert (once.p == again.p).all()
