@@ -24,7 +24,7 @@ from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
 from autoreg.paving import CERTAIN_NATS, Paving, comb_planes, lay_lattice, presented, rival, suited
 from autoreg.presence import field_polygon, side_presence
-from autoreg.refine import Fit, Free, refine_until_still
+from autoreg.refine import Fit, Free, refine_until_still, with_measured_shift
 from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows, lay_rows
 from autoreg.segments import detect_segments
@@ -46,6 +46,8 @@ EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA = 0.05, 0.5, 0.012
 # ... and the first radial distortion coefficient, which curved joints tell.
 RADIAL_SIGMA = 0.1
 REACH = 12.0
+# Half width of the first search at full resolution, in slab sides; and how often a shift may be corrected.
+FIRST_SEARCH, MOST_SHIFTS = 0.04, 3
 
 
 def align(
@@ -150,20 +152,20 @@ def measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     """
     coarse = paving.fit
     height, width = picture.shape
-    fit = refine_until_still(
-        picture,
-        coarse.camera.scaled(width, height),
-        coarse.cam_from_ground,
-        coarse.grid,
-        free=free,
-        search=0.04,
-        reach=REACH,
-        strip=replace(coarse.strip, polarity_known=True),
-        field=field_polygon(paving.presence),
-    )
-    if fit is None:
-        raise no_lattice(paving, None)
-    return fit
+    strip = replace(coarse.strip, polarity_known=True)
+    state = (coarse.camera.scaled(width, height), coarse.cam_from_ground, coarse.grid)
+    field = field_polygon(paving.presence)
+    for correction in range(MOST_SHIFTS + 1):
+        fit = refine_until_still(
+            picture, *state, free=free, search=FIRST_SEARCH, reach=REACH, strip=strip, field=field
+        )
+        if fit is None:
+            raise no_lattice(paving, None)
+        shifted = with_measured_shift(fit)
+        if shifted is None or correction == MOST_SHIFTS:
+            return fit
+        state, strip = (fit.camera, fit.cam_from_ground, shifted.grid), fit.strip
+    raise AssertionError("unreachable: the last correction returns")
 
 
 def _concluded(

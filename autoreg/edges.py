@@ -23,6 +23,8 @@ ALONG_SAMPLES = 16
 # Neighbouring pixels of texture and of the lens's blur are not independent: the number of free values in a
 # profile is about this share of its samples.
 INDEPENDENT = 0.5 * STEP_PX
+# Variance of grey levels that every mean profile has, whatever it looks like.
+NOISE_FLOOR = 0.02
 
 
 @dataclass(frozen=True)
@@ -174,7 +176,8 @@ def fit_offsets(
         sigma_px=sigma,
         depth=0.5 * (tones[:, 1] - tones[:, 2]),
         step=tones[:, 1] + tones[:, 2],
-        strength=1.0 - sse / np.maximum(total, 1e-9),
+        # A flat profile, overexposed say, shows no joint.
+        strength=1.0 - (sse + NOISE_FLOOR * count) / (total + NOISE_FLOOR * count),
         residual=sse / np.maximum(count, 1e-9),
     )
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module, resources
 from pathlib import Path
@@ -154,13 +157,15 @@ def run_job(job: Job, listener: Listener) -> Outcome:
 
 
 def _warm_up() -> None:
-    """Import the pipeline, which imports JAX and takes longer than a photo's decoding beside it.
+    """Import the pipeline and compile its solver, beside the reading of the photo.
 
-    The pipeline may also offer to compile its solver ahead of the first use.
+    A command may keep what it compiled for the next one, which a library must not do behind its user's back.
     """
-    warm_up = getattr(import_module("autoreg.align"), "warm_up", None)
-    if warm_up is not None:
-        warm_up()
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "autoreg" / platform.node()
+    with suppress(OSError):
+        cache.mkdir(parents=True, exist_ok=True)
+        import_module("autoreg.solver").enable_compilation_cache(cache)
+    import_module("autoreg.align").warm_up()
 
 
 def straightened(photo: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "h w 3"]:

@@ -175,7 +175,12 @@ def broken(presence: Presence, family: int) -> bool:
     """
     near = presence.nearest(0.5)
     rows = np.flatnonzero(near.sides.family == family)
-    line, cell, p = near.sides.line[rows], near.sides.cell[rows], near.p[rows]
+    line, p = near.sides.line[rows], near.p[rows]
+    if len(rows) == 0:
+        return False
+    # Counted by place: the rows of a running bond count their sides from starts of their own.
+    ends = near.sides.ends[rows][:, :, 0 if family == ALONG_X else 1]
+    cell = np.floor(ends.mean(1) / np.median(np.ptp(ends, axis=1)) + 1e-6).astype(int)
     for m in (3, 4):
         for q in range(1, m):
             residue = (line - cell * q) % m

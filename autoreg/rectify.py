@@ -138,6 +138,9 @@ def _axis(coordinate: np.ndarray, px_per_unit: np.ndarray, size: int) -> np.ndar
     which = np.clip(np.searchsorted(edges, coordinate) - 1, 0, bins - 1)
     density = np.full(bins, 1e-6)
     np.maximum.at(density, which, px_per_unit)
+    # The sampled pixels may skip bins, as they do where the camera looks along the joints.
+    sampled = np.flatnonzero(density > 1e-6)
+    density = np.interp(np.arange(bins), sampled, density[sampled])
     length = np.r_[0.0, np.cumsum(density * np.diff(edges))]
     return np.interp(np.linspace(0.0, length[-1], int(np.clip(length[-1], 50, size))), length, edges)
 

@@ -15,7 +15,7 @@ from scipy.stats import poisson
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.paving import FALSE_ALARM_NATS, QUARTER_TURN, TESTED_NATS, Paving, PlaneCombs, line_evidence
-from autoreg.presence import PRESENT, best_pattern, broken, field_polygon, side_presence, with_origin
+from autoreg.presence import Presence, best_pattern, broken, field_polygon, side_presence, with_origin
 from autoreg.refine import Fit, Free, refine
 from autoreg.segments import Segments
 from autoreg.stations import ALONG_X, Grid
@@ -28,6 +28,8 @@ STEP_SIGMA = 0.004
 # Combs with less are not looked into.
 WORTH_NATS = 6.0
 FEWEST_LINES = 6
+# Mean p-value of the sides of a line that is not there, and the share of lines that may be missing.
+ABSENT_P, MOST_MISSING = 0.3, 0.1
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,7 @@ def _refined(
     cross = find_cross_joints(segments, fit, field_polygon(presence), size)
     if len(cross.middle) == 0:
         return None
-    # Fewer lines do not fix the tilt of the ground by their spacing.
-    if len(np.unique(presence.sides.line[presence.p < PRESENT])) < FEWEST_LINES:
+    if not _evenly_spaced(presence):
         return None
     x, _ = line_evidence(presence, fit.grid)
     middle = np.median(cross.middle, axis=0)
@@ -113,6 +114,21 @@ def _refined(
     spacing = fit.grid.spacing_y
     on_joint = np.array([crossing[0], round(crossing[1] / spacing) * spacing])
     return Rows(Paving(fit, presence, (x, cross.evidence_nats)), on_joint)
+
+
+def _evenly_spaced(presence: Presence) -> bool:
+    """Whether enough lines are there, and hardly any that the spacing predicts is not.
+
+    Courses of uneven width would leave whole lines of an even spacing in the middle of slabs. Few lines do
+    not fix the tilt of the ground by their spacing.
+    """
+    near = presence.nearest(0.7)
+    _, index, count = np.unique(near.sides.line, return_inverse=True, return_counts=True)
+    mean = np.bincount(index, weights=near.p) / count
+    judged = count >= 3
+    missing = judged & (mean > ABSENT_P)
+    enough = (judged & ~missing).sum() >= FEWEST_LINES
+    return bool(enough and missing.sum() <= MOST_MISSING * judged.sum())
 
 
 def find_cross_joints(
