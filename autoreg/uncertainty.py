@@ -1,148 +1,186 @@
-"""How sure the pose is, from the data's own scatter; and whether the photo contradicts its camera."""
+"""How sure the pose is, which pose is likeliest, and whether the photo contradicts its camera."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from autoreg import residuals as terms
-from autoreg.refine import Fit, Free, joint_data
-from autoreg.residuals import PARAMETERS
-from autoreg.solver import CAUCHY_SIGMAS, Prior, Solution, solve_joints
+from autoreg.geometry import Rigid
+from autoreg.refine import Fit, Free, moved_camera, moved_pose, refine, refine_until_still, stretched
+from autoreg.slab_model import Estimate, Scatter, estimate_motion
 
-# What a calibration may be off by before a photo is said to contradict it: share of the focal length, and
-# of the picture's width for the principal point.
-FOCAL_TOLERANCE, CENTRE_TOLERANCE = 0.02, 0.02
-# The contradiction must be this significant (a chi-square), so that irregular slabs never cause it.
-SIGNIFICANT = 30.0
-# ... and this many tolerances wide.
-BEYOND = 2.0
+# What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of
+# the focal length, and of the picture's width for the principal point.
+FOCAL_TOLERANCE, CENTRE_TOLERANCE = 0.01, 0.005
+# The contradiction must be beyond this chi-square (of at most three degrees of freedom).
+CONTRADICTION = 12.0
+# Above this chi-square, or where slabs seem to lie this share of a side off, the joints are measured again.
+DOUBT, UNEVEN = 1.0, 0.01
+# What a free camera must lower the slabs' scatter to, to be believed.
+EVENER = 0.8
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A fit at the pose that the mixed model makes likeliest.
+
+    `covariance` is of (rotation vector, translation) of a small motion on the camera's side.
+    """
+
+    fit: Fit
+    covariance: Float[np.ndarray, "6 6"]
+    scatter: Scatter
+
+
+def settle(fit: Fit) -> Settled:
+    """The fit moved to the likeliest pose under irregular slabs, and how sure that pose is."""
+    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera))
+    step = replace(fit.solution, parameters=estimate.parameters)
+    pose = moved_pose(fit.cam_from_ground, step)
+    moved = replace(
+        fit,
+        camera=moved_camera(fit.camera, step),
+        cam_from_ground=pose,
+        grid=stretched(fit.grid, step),
+        distances_px=fit.distances_px + fit.solution.jacobian @ estimate.parameters,
+    )
+    return Settled(moved, _on_camera_side(estimate.covariance, pose), estimate.scatter)
+
+
+def pose_covariance(fit: Fit) -> Float[np.ndarray, "6 6"]:
+    """Covariance of (rotation vector, translation) of a small motion on the camera's side.
+
+    It is of the fit's own pose: what the mixed model leaves open, and how far it would move the fit.
+    """
+    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera))
+    away = np.outer(estimate.parameters, estimate.parameters)
+    return _on_camera_side(estimate.covariance + away, fit.cam_from_ground)
+
+
+def _on_camera_side(covariance: Float[np.ndarray, "p p"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
+    """The pose's part, where the solve's rotation turns the translation as well: t = exp(w) t0 + dt."""
+    A = np.eye(6)
+    A[3:, :3] = -_cross(pose.t)
+    C = A @ covariance[:6, :6] @ A.T
+    return 0.5 * (C + C.T)
+
+
+def _cross(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """What the joints say about the camera."""
+    """What the joints say about the camera; the shifts are of the joints' own camera from the given one."""
 
     consistent: bool
     focal_px: float
     focal_sigma_px: float
     focal_shift: float
     centre_shift_px: Float[np.ndarray, "2"]
+    chi_square: float
 
 
-def parameter_covariance(
-    fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior
-) -> Float[np.ndarray, "p p"]:
-    """Covariance of the solve's parameters by the sandwich estimator, clustered by slab; zero where frozen.
-
-    Joints that share a slab share its displacement. The scores of all stations are therefore summed per
-    side, and sides that touch the same slab may correlate (Conley's estimator with the slab's own reach).
-    """
-    free = np.flatnonzero(mask)
-    rows = np.flatnonzero(fit.usable)
-    J = fit.solution.jacobian[np.ix_(rows, free)] / fit.sigma_px[rows, None]
-    r = fit.distances_px[rows] / fit.sigma_px[rows]
-    weight = 1.0 / (1.0 + (r / CAUCHY_SIGMAS) ** 2)
-    scale = 1.0 / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
-    Js = J * scale
-    # Expected curvature of Cauchy's loss: its own weight times its slope.
-    curvature = weight**2 * (1.0 - (r / CAUCHY_SIGMAS) ** 2)
-    known = np.diag((scale / prior.sigma[free]) ** 2)
-    bread = Js.T @ (Js * np.maximum(curvature, 0.1 * weight)[:, None]) + known
-    scores = Js * (weight * r)[:, None]
-    _, side = np.unique(fit.stations.side[rows], return_inverse=True)
-    per_side = np.zeros((side.max() + 1, len(free)))
-    np.add.at(per_side, side, scores)
-    first = np.unique(side, return_index=True)[1]
-    neighbours = _neighbour_weights(fit, rows[first])
-    meat = per_side.T @ neighbours @ per_side
-    # A small sample of slabs: the usual correction for the parameters that were fitted.
-    sides = len(first)
-    meat = meat * sides / max(sides - len(free), 1) + known
-    inverse = np.linalg.pinv(bread)
-    naive = inverse @ (Js.T @ (Js * (weight * r)[:, None] ** 2) + known) @ inverse
-    inner = inverse @ meat @ inverse
-    # The clustered estimate is noisy when clusters are few; the truth is not below the unclustered one.
-    widen = max(1.0, float(np.sqrt(np.trace(naive) / max(np.trace(inner), 1e-300))))
-    covariance = np.zeros((PARAMETERS, PARAMETERS))
-    covariance[np.ix_(free, free)] = inner * widen**2 * np.outer(scale, scale)
-    return covariance
-
-
-def _neighbour_weights(fit: Fit, representative: np.ndarray) -> Float[np.ndarray, "s s"]:
-    """Correlation allowed between sides: one for itself, falling to zero beyond one slab.
-
-    The product of two triangle (Bartlett) kernels is positive semi-definite, and so is the estimate.
-    """
-    ground = fit.stations.ground[representative]
-    a = fit.grid.spacing_x or fit.grid.spacing_y
-    b = fit.grid.spacing_y
-    family = fit.stations.family[representative]
-    dx = np.abs(ground[:, None, 0] - ground[None, :, 0]) / (1.5 * a)
-    dy = np.abs(ground[:, None, 1] - ground[None, :, 1]) / (1.5 * b)
-    return np.clip(1 - dx, 0, 1) * np.clip(1 - dy, 0, 1) * (family[:, None] == family[None, :])
-
-
-def pose_covariance(fit: Fit) -> Float[np.ndarray, "6 6"]:
-    """Covariance of (rotation vector, translation) of a small motion on the camera's side."""
-    solved = parameter_covariance(fit, fit.free.mask, fit.free.prior(fit.camera))[:6, :6]
-    # The solve turns the translation as well: t = exp(w) t0 + dt.
-    x, y, z = fit.cam_from_ground.t
-    A = np.eye(6)
-    A[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    C = A @ solved @ A.T
-    return 0.5 * (C + C.T)
-
-
-def check_camera(fit: Fit) -> CameraCheck:
+def check_camera(
+    fit: Fit,
+    picture: Float[np.ndarray, "h w"] | None = None,
+    field: Float[np.ndarray, "k 2"] | None = None,
+) -> CameraCheck:
     """Whether the joints of this photo contradict the camera they were fitted with.
 
-    The joints are fitted again with a free focal length, then with a free principal point as well, both
-    held by priors as wide as a good calibration may be off. A camera is contradicted when the joints pull
-    it far beyond these against the priors' resistance.
+    The joints' own focal length and principal point are estimated, with the covariance of irregular slabs.
+    Their distance from the given camera is judged against that covariance plus what a good calibration may
+    be off by: a direction that the joints do not tell has a wide covariance, and so no say.
+
+    A wrong camera makes even slabs look irregular, and hides joints from the search. With the picture, a fit
+    that gives cause for doubt is therefore repeated with a free camera first.
+
+    Args:
+        fit: the fit with the given camera.
+        picture: grey levels, to measure the joints again where the camera is in doubt.
+        field: where on the ground the paving is, as for `refine`.
     """
-    data = joint_data(
-        fit.camera, fit.cam_from_ground, fit.stations, fit.profiles, fit.offsets, fit.sigma_px, fit.usable
-    )
-    mask = Free(ratio=fit.free.ratio, focal=True).mask
-    alone = solve_joints(data, mask)
-    focal = float(np.exp(alone.parameters[terms.FOCAL]))
-    C = parameter_covariance(_with(fit, alone), mask, Free().prior(fit.camera))
-    sigma = float(np.sqrt(max(C[terms.FOCAL, terms.FOCAL], 0.0)))
-    both = Free(ratio=fit.free.ratio, focal=True, centre=True).mask
-    prior = np.full(PARAMETERS, np.inf)
-    prior[terms.FOCAL] = FOCAL_TOLERANCE
-    prior[terms.CENTRE] = CENTRE_TOLERANCE * fit.camera.width
-    held = solve_joints(data, both, Prior(np.zeros(PARAMETERS), prior))
-    shift = held.parameters[[terms.FOCAL, 8, 9]] / prior[[terms.FOCAL, 8, 9]]
-    kept = solve_joints(data, Free(ratio=fit.free.ratio).mask)
-    design = _design_effect(fit)
-    gain = 2 * CAUCHY_SIGMAS**2 * (kept.cost - held.cost) / design
-    width = float(np.linalg.norm(shift))
-    return CameraCheck(
-        consistent=not (gain > SIGNIFICANT and width > BEYOND),
-        focal_px=fit.camera.fx * focal,
-        focal_sigma_px=fit.camera.fx * focal * sigma,
-        focal_shift=float(held.parameters[terms.FOCAL]),
-        centre_shift_px=held.parameters[terms.CENTRE],
-    )
+    free = _free_camera(fit)
+    both = estimate_motion(fit, free.mask, free.prior(fit.camera))
+    chi_square, shift = _contradiction(fit, fit, both)
+    uneven = both.scatter.place > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
+    if picture is not None and (uneven or chi_square > DOUBT):
+        given, before = fit, both.scatter.place
+        for freed in _fits_with_free_camera(given, picture, field):
+            motion = estimate_motion(freed, free.mask, free.prior(freed.camera))
+            # A free camera that does not make the slabs evener has found nothing better.
+            if motion.scatter.place < EVENER * both.scatter.place:
+                chi_square, shift = _contradiction(given, freed, motion)
+                fit, both = freed, motion
+            if both.scatter.place < 0.5 * before:
+                break
+    focal_only = Free(ratio=fit.free.ratio, focal=True)
+    alone = estimate_motion(fit, focal_only.mask, focal_only.prior(fit.camera), both.scatter)
+    sigma = float(np.sqrt(alone.covariance[terms.FOCAL, terms.FOCAL]))
+    focal = fit.camera.fx * float(np.exp(alone.parameters[terms.FOCAL]))
+    consistent = chi_square < CONTRADICTION
+    return CameraCheck(consistent, focal, focal * sigma, float(shift[0]), shift[1:], chi_square)
 
 
-def _with(fit: Fit, solution: Solution) -> Fit:
-    return replace(fit, solution=solution, distances_px=solution.distances_px)
+def _free_camera(fit: Fit) -> Free:
+    # Priors so wide that they only keep untold directions finite.
+    width = float(fit.camera.width)
+    return replace(fit.free, focal=True, centre=True, nominal=None, focal_sigma=1.0, centre_sigma_px=width)
 
 
-def _design_effect(fit: Fit) -> float:
-    """How much the scatter of neighbouring joints adds up: clustered variance over that of lone stations."""
-    rows = np.flatnonzero(fit.usable)
-    r = fit.distances_px[rows] / fit.sigma_px[rows]
-    r = r / (1.0 + (r / CAUCHY_SIGMAS) ** 2)
-    _, side = np.unique(fit.stations.side[rows], return_inverse=True)
-    total = np.zeros(side.max() + 1)
-    np.add.at(total, side, r)
-    first = np.unique(side, return_index=True)[1]
-    return max(1.0, float(total @ _neighbour_weights(fit, rows[first]) @ total / max((r * r).sum(), 1e-12)))
+def _fits_with_free_camera(
+    fit: Fit, picture: Float[np.ndarray, "h w"], field: Float[np.ndarray, "k 2"] | None
+) -> Iterator[Fit]:
+    """Fits with the focal length free, then with the principal point as well.
+
+    They grow from the camera's feet outwards: however wrong the camera, near joints lie where they are looked
+    for, and what they tell of the camera brings the farther ones within reach.
+    """
+    for centre in (False, True):
+        grown = refine(
+            picture,
+            fit.camera,
+            fit.cam_from_ground,
+            fit.grid,
+            free=replace(_free_camera(fit), centre=centre),
+            search=0.15,
+            reaches=(2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0),
+            strip=fit.strip,
+            field=field,
+        )
+        # Nothing can be measured near the feet of a camera that looks far ahead.
+        start = grown or fit
+        still = refine_until_still(
+            picture,
+            start.camera,
+            start.cam_from_ground,
+            start.grid,
+            free=_free_camera(fit),
+            search=0.0 if grown else 0.08,
+            reach=12.0,
+            strip=start.strip,
+            field=field,
+        )
+        if still is not None:
+            yield still
 
 
+def _contradiction(asked: Fit, told: Fit, motion: Estimate) -> tuple[float, Float[np.ndarray, "3"]]:
+    """Chi-square of the distance between the camera that was given for one fit and that of another's joints.
+
+    The distance itself comes along: logarithm of the focal length, and the principal point in pixels.
+    """
+    given, own = asked.free.nominal or asked.camera, told.camera
+    moved = np.array([np.log(own.fx / given.fx), own.cx - given.cx, own.cy - given.cy])
+    asked_of = [terms.FOCAL, 8, 9]
+    shift = motion.parameters[asked_of] + moved
+    tolerance = np.array([FOCAL_TOLERANCE, CENTRE_TOLERANCE * given.width, CENTRE_TOLERANCE * given.width])
+    known = np.array([asked.free.focal_sigma, asked.free.centre_sigma_px, asked.free.centre_sigma_px])
+    tolerance = np.maximum(tolerance, np.where(np.isfinite(known), known, 0.0))
+    C = motion.covariance[np.ix_(asked_of, asked_of)] + np.diag(tolerance**2)
+    return float(shift @ np.linalg.solve(C, shift)), shift

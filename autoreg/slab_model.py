@@ -1,0 +1,280 @@
+"""A linear mixed model of irregular slabs: the likeliest pose, and how sure it is.
+
+The places of neighbouring joints are no independent measurements. Each joint lies off its line by
+
+    J dp + place + lift + turn of the slabs on either side + relief + noise,
+
+where every slab's place, height and turn are random, and the relief is the shift of a joint seen aslant: a
+lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. This is
+a linear mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the sizes of the random
+effects come from the photo's own residuals by restricted maximum likelihood, and the pose by generalised
+least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import csr_matrix, diags, hstack, identity
+from scipy.sparse.linalg import splu
+
+from autoreg.refine import Fit
+from autoreg.residuals import PARAMETERS
+from autoreg.solver import CAUCHY_SIGMAS, Prior
+from autoreg.stations import ALONG_X, ALONG_Y
+
+# Sizes of the relief that are weighed against each other, as shares of half the joint's width. It cannot be
+# more than one by geometry, but the width itself is measured on what is left of the joint.
+RELIEFS = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0, 2.0)
+# Slope across the joint (ground distance over camera height) at which the relief stops growing.
+KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
+# A slab side's place is not known better than this, whatever its profiles say: texture, interpolation, JPEG.
+SIDE_FLOOR_PX = 0.03
+# Joints in relief scatter beyond the model (shadows within them, other shapes of the relief): the variance is
+# this much larger where there is a relief, as measured on ray-traced pavings.
+MISFIT = 2.0
+# A station farther off than this many standard deviations is none of a slab's: it is left out.
+GROSS_SIGMAS = 4.0
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviations of the slabs' irregularity, in the unit of the pose (`turn` in radians).
+
+    `lift` and `turn` are of slabs, like `place`; `relief` is a share of half the joint's width.
+    """
+
+    place: float
+    lift: float
+    turn: float
+    relief: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Solution of the mixed model: a small motion from the fit, its covariance, and the scatter."""
+
+    parameters: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    scatter: Scatter
+
+
+def estimate_motion(
+    fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior, scatter: Scatter | None = None
+) -> Estimate:
+    """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
+
+    Args:
+        fit: a converged fit; its Jacobian tells what the parameters move.
+        mask: ones for the free parameters.
+        prior: what is known of them, counted from the fit.
+        scatter: the scatter of an earlier estimate of this photo, instead of a search for it.
+    """
+    model = _Model(fit, mask, prior)
+    if scatter is None:
+        sizes, relief = _likeliest_sizes(model)
+    else:
+        place = scatter.place
+        sizes, relief = (place, scatter.lift / place, scatter.turn * model.side / place), scatter.relief
+    for _ in range(2):
+        model.reweigh(sizes, relief)
+    found: list[tuple[float, np.ndarray, np.ndarray]] = []
+    for factor in (0.5, 0.65, 0.8, 1.0, 1.25, 1.55, 2.0):
+        model.factor((factor * sizes[0], *sizes[1:]))
+        found += [model.solve(r) for r in RELIEFS]
+    value = np.array([f[0] for f in found])
+    weight = np.exp(value - value.max())
+    weight /= weight.sum()
+    mean = np.tensordot(weight, np.array([f[1] for f in found]), 1)
+    # What differs between likely scatters is uncertainty too; it matters where slabs are few.
+    away = np.array([f[1] for f in found]) - mean
+    inner = np.array([f[2] for f in found]) + away[:, :, None] * away[:, None, :]
+    flat = float(weight[:: len(RELIEFS)].sum())
+    spread = np.tensordot(weight, inner, 1) * (1.0 + (MISFIT - 1.0) * (1.0 - flat))
+    parameters, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
+    parameters[model.free] = mean * model.unit
+    covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
+    relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
+    place, lift, turn = sizes
+    return Estimate(parameters, covariance, Scatter(place, place * lift, place * turn / model.side, relief))
+
+
+_Sizes = tuple[float, float, float]
+
+
+def _likeliest_sizes(model: _Model) -> tuple[_Sizes, float]:
+    """Sizes and relief of highest restricted likelihood, starting from the residuals' scatter on the ground.
+
+    Coordinate search: each size in turn over a few values, the relief with every one.
+    """
+    ground = 1.48 * float(np.median(np.abs(model.off) / model.px_per_unit)) + 1e-12
+    best: _Sizes = (ground, 0.33, 0.25)
+    relief = 0.5
+    model.reweigh(best, relief)
+    for _ in range(2):
+        score, relief = max((value, r) for r, value in model.evidence(best).items())
+        for axis, options in enumerate(((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5))):
+            centre = best
+            for option in options:
+                sizes = list(centre)
+                sizes[axis] = option if axis else option * centre[0]
+                tried = (sizes[0], sizes[1], sizes[2])
+                likelihood, likeliest = max((v, r) for r, v in model.evidence(tried).items())
+                if likelihood > score:
+                    score, relief, best = likelihood, likeliest, tried
+        model.reweigh(best, relief)
+    return best, relief
+
+
+class _Model:
+    """The linear mixed model of one fit's residuals; sizes are (place, lift / place, turn / place)."""
+
+    def __init__(self, fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior) -> None:
+        self.free, self.rows = np.flatnonzero(mask), np.flatnonzero(fit.usable)
+        J = fit.solution.jacobian[np.ix_(self.rows, self.free)]
+        # Columns of unit length keep the normal equations well scaled.
+        self.unit = 1.0 / np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+        self.off = fit.distances_px[self.rows]
+        self.known = (self.unit / prior.sigma[self.free]) ** 2
+        self.prior_mean = prior.mean[self.free] / self.unit
+        self.px_per_unit = fit.profiles.px_per_unit[self.rows]
+        self.noise = _own_noise(fit, self.rows)
+        a, b = fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y
+        self.side = float(np.sqrt(a * b))
+        self.place, self.lift, self.turn = _slab_effects(fit, self.rows, a, b)
+        self.turn = self.turn * (1.0 / self.side)
+        self.relief = _relief_effects(fit, self.rows)
+        self.columns = np.c_[J * self.unit, self.relief, self.off]
+        self.weight = 1.0 / (1.0 + (self.off / (CAUCHY_SIGMAS * fit.sigma_px[self.rows])) ** 2)
+
+    def factor(self, sizes: _Sizes) -> None:
+        """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
+        place, lift, turn = sizes
+        self.D = self.noise**2 / self.weight
+        parts = [self.place * place]
+        parts += [self.lift * (place * lift)] if lift else []
+        parts += [self.turn * (place * turn)] if turn else []
+        Z: Any = hstack(parts).tocsc()
+        self.variance = self.noise**2 + (Z.multiply(Z) @ np.ones(Z.shape[1]))
+        self.ZD = (Z.T @ diags(1.0 / self.D)).tocsr()
+        inner = (identity(Z.shape[1]) + self.ZD @ Z).tocsc()
+        self.lu: Any = splu(
+            inner, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+        self.logdet = float(np.log(self.D * self.weight).sum() + np.log(np.abs(self.lu.U.diagonal())).sum())
+        self.gram = self.columns.T @ self._whitened(self.columns)
+
+    def _whitened(self, X: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+        scaled = X / self.D[:, None]
+        return scaled - self.ZD.T @ self.lu.solve(np.ascontiguousarray(self.ZD @ X))
+
+    def _solve(self, relief: float) -> tuple[float, np.ndarray, np.ndarray]:
+        p, k = len(self.free), self.relief.shape[1]
+        scale = np.r_[np.ones(p), np.full(k, relief)]
+        # A direction that nothing tells (along the joints of rows) stays where it is, and unknown.
+        little = 1e-10 * np.diag(self.gram)[:p]
+        known = np.r_[self.known + little, np.ones(k)]
+        mean = np.r_[np.where(self.known > 0, self.prior_mean, 0.0), np.zeros(k)]
+        H = self.gram[:-1, :-1] * np.outer(scale, scale) + np.diag(known)
+        g = self.gram[:-1, -1] * scale - known * mean
+        x = -np.linalg.solve(H, g)
+        left = self.gram[-1, -1] + g @ x + float(known @ mean**2)
+        value = -0.5 * (left + self.logdet + np.linalg.slogdet(H)[1])
+        return float(value), x * scale, np.linalg.inv(H)
+
+    def solve(self, relief: float) -> tuple[float, np.ndarray, np.ndarray]:
+        """Restricted log likelihood, scaled motion and its covariance, at the factorised sizes."""
+        value, x, C = self._solve(relief)
+        p = len(self.free)
+        return value, x[:p], C[:p, :p]
+
+    def evidence(self, sizes: _Sizes) -> dict[float, float]:
+        """Restricted log likelihood for each size of the relief."""
+        self.factor(sizes)
+        return {r: self._solve(r)[0] for r in RELIEFS}
+
+    def reweigh(self, sizes: _Sizes, relief: float) -> None:
+        """Cauchy weights from what is left of each station's residual when the slabs have had their share."""
+        self.factor(sizes)
+        x = self._solve(relief)[1]
+        left = self.columns @ np.r_[x, 1.0]
+        own = self.D * self._whitened(left[:, None])[:, 0]
+        # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
+        deviation = np.abs(left) / np.sqrt(self.variance)
+        gross = deviation > GROSS_SIGMAS * max(1.48 * float(np.median(deviation)), 1e-6)
+        self.weight = np.where(gross, 1e-6, 1.0 / (1.0 + own**2 / (CAUCHY_SIGMAS**2 * self.D * self.weight)))
+
+
+def _own_noise(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, " n"]:
+    """Scatter of single stations: their profiles' claim, scaled to how neighbours on one side differ."""
+    claim = fit.offsets.sigma_px[rows]
+    claim = np.maximum(claim, 0.3 * float(np.median(claim)))
+    side = fit.stations.side[rows]
+    pair = np.flatnonzero(side[1:] == side[:-1])
+    if len(pair) >= 10:
+        step = np.abs(np.diff(fit.distances_px[rows]))[pair] / np.hypot(claim[pair], claim[pair + 1])
+        claim = claim * 1.48 * float(np.median(step))
+    # The floor holds for a side as a whole, however many stations it has.
+    return np.hypot(claim, SIDE_FLOOR_PX * np.sqrt(np.bincount(side)[side]))
+
+
+def _slab_effects(
+    fit: Fit, rows: np.ndarray, a: float, b: float
+) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
+    """Pixels that each station moves per unit of its two slabs' places, heights and turns."""
+    stations, n = fit.stations.take(rows), len(rows)
+    k = 0.5 * fit.profiles.px_per_unit[rows]
+    along_x = stations.family == ALONG_X
+    keys, lever = [], []
+    for beyond in (0, 1):
+        row = np.where(along_x, stations.line - 1 + beyond, np.floor(stations.ground[:, 1] / b)).astype(int)
+        place = stations.ground[:, 0] / a - row * fit.grid.shift
+        column = np.where(along_x, np.floor(place), np.round(place) - 1 + beyond).astype(int)
+        middle = np.stack([(column + 0.5 + row * fit.grid.shift) * a, (row + 0.5) * b], 1)
+        away = stations.ground - middle
+        # A positive turn moves a slab's sides along X by +x, those along Y by -y.
+        lever.append(k * np.where(along_x, away[:, 0], -away[:, 1]))
+        keys.append(np.stack([row, column], 1))
+    names, slab = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
+    both, axis = np.tile(np.arange(n), 2), np.tile(stations.family, 2)
+    slope = _slope(fit, rows)
+
+    def effect(value: np.ndarray, column: np.ndarray, count: int) -> csr_matrix:
+        return csr_matrix((value, (both, column)), shape=(n, count))
+
+    return (
+        effect(np.tile(k, 2), 2 * slab + axis, 2 * len(names)),
+        effect(np.tile(k * slope, 2), slab, len(names)),
+        effect(np.concatenate(lever), slab, len(names)),
+    )
+
+
+def _slope(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, " n"]:
+    """How far a unit of height moves each station across its joint, seen from the camera."""
+    eye = fit.cam_from_ground.origin_in_a
+    away = fit.stations.ground[rows] - eye[:2]
+    return np.where(fit.stations.family[rows] == ALONG_X, away[:, 1], away[:, 0]) / eye[2]
+
+
+def _relief_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n r"]:
+    """Pixels that each station moves by the relief, for joint walls of the four directions.
+
+    A wall's light is the same all over the photo, so that each direction has one shift, which grows with
+    the slope of the view until the bed is hidden. A shadow on the bed moves a family even from above.
+    """
+    slope, family = _slope(fit, rows), fit.stations.family[rows]
+    half = 0.5 * float(np.mean(fit.strip.width)) * fit.profiles.px_per_unit[rows]
+    columns: list[np.ndarray] = []
+    for own in (ALONG_X, ALONG_Y):
+        for facing in (-1.0, 1.0):
+            seen = half * facing * ((family == own) & (np.sign(slope) == facing))
+            columns += [seen * np.minimum(np.abs(slope) / knee, 1.0) / np.sqrt(len(KNEES)) for knee in KNEES]
+        shaded = half * (family == own)
+        columns.append(0.7 * shaded)
+        columns += [0.5 * shaded * np.maximum(0.0, 1.0 - np.abs(slope) / knee) for knee in (0.8, 2.0)]
+    # The same covariance in fewer columns.
+    U, size, _ = np.linalg.svd(np.stack(columns, 1), full_matrices=False)
+    return (U * size)[:, size > 0.01 * size[0]]

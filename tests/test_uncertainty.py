@@ -1,0 +1,138 @@
+"""The stated uncertainty holds, follows a moved frame, and a wrong camera is called out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from autoreg.camera import Camera
+from autoreg.conclude import Frame
+from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
+from autoreg.image import as_gray
+from autoreg.refine import Fit, Free, refine_until_still
+from autoreg.slab_model import estimate_motion
+from autoreg.solver import Prior
+from autoreg.stations import Grid
+from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
+from autoreg.uncertainty import check_camera, pose_covariance, settle
+
+SCENE = SyntheticScene(
+    camera=Camera.from_focal(800, 600, 700.0),
+    cam_from_ground=look_at_ground(pitch_deg=40.0, height_m=1.6, heading_deg=33.0, foot_m=(0.13, 0.21)),
+    spacing_m=(0.4, 0.4),
+    joint_width_m=0.012,
+    colour=False,
+)
+
+
+@cache
+def picture(jitter_m: float, seed: int) -> np.ndarray:
+    photo = render_paving(replace(SCENE, jitter_m=jitter_m, seed=seed))
+    return as_gray(photo.pixels).astype(np.float32)
+
+
+@cache
+def fitted(jitter_m: float, seed: int, focal: float = 1.0) -> Fit:
+    camera = replace(SCENE.camera, fx=focal * SCENE.camera.fx, fy=focal * SCENE.camera.fy)
+    fit = refine_until_still(
+        picture(jitter_m, seed), camera, SCENE.cam_from_ground, Grid(0.4, 0.4),
+        free=Free(), search=0.08, reach=12.0,
+    )  # fmt: skip
+    assert fit is not None
+    return fit
+
+
+def rotation_errors(jitter_m: float, seeds: range) -> np.ndarray:
+    """Normalised squared rotation errors of settled fits."""
+    found = []
+    for seed in seeds:
+        settled = settle(fitted(jitter_m, seed))
+        error = vector_from_rotation(settled.fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)
+        found.append(error @ np.linalg.solve(settled.covariance[:3, :3], error))
+    return np.array(found)
+
+
+def test_the_truth_lies_within_the_stated_uncertainty_of_irregular_paving() -> None:
+    errors = rotation_errors(0.002, range(6))
+    # Chi-square of 3 degrees of freedom: 99.9 % lie below 16.3; a tenfold overstatement shows below 0.05.
+    assert errors.max() < 16.3
+    assert np.median(errors) > 0.05
+
+
+def test_irregular_slabs_make_the_pose_less_sure_by_about_as_much_as_they_scatter() -> None:
+    even = np.sqrt(np.trace(settle(fitted(0.0, 0)).covariance[:3, :3]))
+    irregular = np.sqrt(np.trace(settle(fitted(0.002, 0)).covariance[:3, :3]))
+    assert irregular > 2.0 * even
+
+
+def test_the_jitter_of_the_slabs_is_found_from_the_residuals() -> None:
+    assert settle(fitted(0.002, 1)).scatter.place == pytest.approx(0.002, rel=0.5)
+
+
+def test_the_covariance_of_the_unsettled_fit_is_no_smaller_than_that_of_the_settled_one() -> None:
+    fit = fitted(0.002, 2)
+    least = np.linalg.eigvalsh(pose_covariance(fit) - settle(fit).covariance)
+    assert least.min() > -1e-3 * np.linalg.eigvalsh(settle(fit).covariance).max()
+
+
+def test_settling_lands_nearer_to_the_truth_than_the_fit_with_independent_stations() -> None:
+    def miss(fit: Fit) -> float:
+        return float(np.linalg.norm(vector_from_rotation(fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)))
+
+    fits = [fitted(0.002, seed) for seed in range(6)]
+    assert np.mean([miss(settle(f).fit) ** 2 for f in fits]) < np.mean([miss(f) ** 2 for f in fits])
+
+
+def test_knowledge_of_a_parameter_is_kept_where_it_is_tighter_than_the_photo() -> None:
+    fit = fitted(0.002, 0)
+    free = Free(focal=True)
+    prior = Prior(np.zeros(11), np.where(np.arange(11) == 7, 1e-6, np.inf))
+    estimate = estimate_motion(fit, free.mask, prior)
+    assert abs(estimate.parameters[7]) < 1e-5
+    # The factor for what the model misses acts on everything.
+    assert np.sqrt(estimate.covariance[7, 7]) == pytest.approx(1e-6, rel=0.5)
+
+
+@given(
+    st.lists(st.floats(-3, 3), min_size=3, max_size=3),
+    st.lists(st.floats(-5, 5), min_size=2, max_size=2),
+    st.integers(0, 3),
+    st.integers(0, 1000),
+)
+@settings(deadline=None, derandomize=True, max_examples=25)
+def test_a_moved_frame_carries_the_covariance_as_finite_motions_do(
+    vector: list[float], origin: list[float], turns: int, seed: int
+) -> None:
+    pose = Rigid(rotation_from_vector(np.array(vector)), np.array([0.3, -0.2, 4.0]))
+    frame = Frame(turns, np.array(origin))
+    L = np.random.default_rng(seed).normal(size=(6, 6))
+    small, columns = 1e-6, []
+    for w, dt in small * np.eye(6).reshape(6, 2, 3):
+        moved = frame.pose(Rigid(rotation_from_vector(w) @ pose.R, pose.t + dt))
+        turn = vector_from_rotation(moved.R @ frame.pose(pose).R.T)
+        columns.append(np.r_[turn, moved.t - frame.pose(pose).t] / small)
+    A = np.stack(columns, 1)
+    np.testing.assert_allclose(frame.covariance(L @ L.T, pose), A @ L @ L.T @ A.T, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("jitter_m", [0.0, 0.002])
+def test_a_right_camera_is_consistent(jitter_m: float) -> None:
+    check = check_camera(fitted(jitter_m, 0), picture(jitter_m, 0))
+    assert check.consistent
+    assert abs(check.focal_px - SCENE.camera.fx) < 4 * check.focal_sigma_px
+
+
+def test_a_calibration_half_a_percent_off_is_no_contradiction() -> None:
+    assert check_camera(fitted(0.002, 0, 1.005), picture(0.002, 0)).consistent
+
+
+@pytest.mark.parametrize("focal", [0.92, 1.1])
+def test_a_wrong_focal_length_is_called_out_and_the_right_one_named(focal: float) -> None:
+    check = check_camera(fitted(0.0, 0, focal), picture(0.0, 0))
+    assert not check.consistent
+    assert check.focal_px == pytest.approx(SCENE.camera.fx, rel=0.01)
