@@ -24,12 +24,12 @@ from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
 from autoreg.paving import CERTAIN_NATS, Paving, comb_planes, lay_lattice, presented, rival, suited
 from autoreg.presence import field_polygon, side_presence
-from autoreg.refine import Fit, Free, refine_until_still, with_measured_shift
+from autoreg.refine import Fit, Free, recentred, refine_until_still, with_measured_shift
 from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows, lay_rows
 from autoreg.segments import detect_segments
 from autoreg.solver import warm_up
-from autoreg.uncertainty import check_camera, pose_covariance
+from autoreg.uncertainty import check_camera, settle
 
 __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align", "warm_up"]
 
@@ -96,7 +96,7 @@ def align(
         settled, crossing = presented(small, at_detection_scale(fit, small, start)), None
         if settled is None or settled.margin_nats < 0:
             raise no_lattice(settled, None)
-    return _concluded(fit, settled, crossing, source, slab, camera_height)
+    return _concluded(picture, fit, settled, crossing, source, slab, camera_height)
 
 
 def find_paving(
@@ -169,6 +169,7 @@ def measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
 
 
 def _concluded(
+    picture: np.ndarray,
     fit: Fit,
     settled: Paving,
     crossing: np.ndarray | None,
@@ -177,13 +178,17 @@ def _concluded(
     camera_height: float | None,
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
+    check = check_camera(fit, picture, field_polygon(settled.presence))
+    rested = settle(fit)
+    # The model of irregular slabs knows the turn better, the plain joints the place: the relief of sunk
+    # joints that it allows for is hard to tell from a shift of them all.
+    fit = rested.fit if fit.grid.spacing_x is None else recentred(rested.fit)
     scale, scale_source = metric_scale(fit, slab, camera_height)
     frame = canonical_frame(fit, settled.presence, crossing)
-    check = check_camera(fit)
     told = fit.grid.spacing_x is not None
     pose = frame.pose(fit.cam_from_ground)
     units = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
-    covariance = frame.covariance(pose_covariance(fit), fit.cam_from_ground)
+    covariance = frame.covariance(rested.covariance, fit.cam_from_ground)
     return Alignment(
         width=fit.camera.width,
         height=fit.camera.height,

@@ -207,6 +207,15 @@ def with_measured_shift(fit: Fit) -> Fit | None:
     return replace(fit, grid=replace(grid, shift=(grid.shift + change) % 1.0))
 
 
+def recentred(fit: Fit) -> Fit:
+    """The fit moved without a turn to where its joints lie best: robustly weighted least squares."""
+    J = fit.solution.jacobian[:, terms.TRANSLATION]
+    weight = np.sqrt(fit.weight) / fit.sigma_px
+    step = np.linalg.lstsq(J * weight[:, None], -fit.distances_px * weight, rcond=1e-9)[0]
+    pose = Rigid(fit.cam_from_ground.R, fit.cam_from_ground.t + step)
+    return replace(fit, cam_from_ground=pose, distances_px=fit.distances_px + J @ step)
+
+
 def _motion_px(fit: Fit, camera: Camera, pose: Rigid, grid: Grid) -> float:
     """RMS motion, across the joints, of the fit's stations from an earlier state."""
     a = (fit.grid.spacing_x or 1.0) / (grid.spacing_x or 1.0)
