@@ -22,13 +22,25 @@ from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
-from autoreg.paving import CERTAIN_NATS, Paving, comb_planes, lay_lattice, presented, rival, suited
-from autoreg.presence import field_polygon, side_presence
+from autoreg.lattice_choice import Paving, presented, rival, suited
+from autoreg.paving import (
+    CERTAIN_NATS,
+    Hypothesis,
+    Looks,
+    PlaneCombs,
+    comb_planes,
+    lay_combs,
+    lay_lattice,
+    looks_at,
+    promising_plane,
+)
+from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit, Free, recentred, refine_until_still, with_measured_shift
 from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows, lay_rows
-from autoreg.segments import detect_segments
+from autoreg.segments import Segments, detect_segments
 from autoreg.solver import warm_up
+from autoreg.stations import Grid
 from autoreg.uncertainty import check_camera, settle
 
 __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align", "warm_up"]
@@ -78,12 +90,13 @@ def align(
     source: Source = "file" if camera is not None else "photo"
     if camera is None and exif_focal_px is not None:
         camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
+    looks, segments = looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detect_segments(gray)
+    size = width, height
     try:
-        found = find_paving(gray, camera, slab)
+        found = find_paving(looks, segments, size, camera, slab)
     except Refusal as refusal:
-        raise _explained(refusal, gray, camera if source == "file" else None) from None
-    picture = gray.astype(np.float32)
-    small = pyramid(gray, DETECTION_PIXELS)[0].astype(np.float32)
+        raise _explained(refusal, looks, segments, size, camera if source == "file" else None) from None
+    picture, small = gray.astype(np.float32), looks.picture
     if isinstance(found, Rows):
         fit = measure(picture, found.paving, Free(step_sigma=STEP_SIGMA))
         settled = _rows_settled(small, at_detection_scale(fit, small, found.paving), found)
@@ -100,48 +113,73 @@ def align(
 
 
 def find_paving(
-    gray: np.ndarray, camera: Camera | None, slab: tuple[float, float] | None = None
+    looks: Looks,
+    segments: Segments,
+    size: tuple[int, int],
+    camera: Camera | None,
+    slab: tuple[float, float] | None = None,
 ) -> Paving | Rows:
     """The lattice that explains the photo best, at detection scale; of those that suit the slab, if any do.
+
+    Args:
+        looks: the photo at detection scale.
+        segments: those of the photo, in its own pixels.
+        size: the photo's width and height.
+        camera: its camera, or None to look for a focal length as well.
+        slab: sides of a slab in either order, if known.
 
     Raises:
         Refusal: none explains it better than chance.
     """
-    height, width = gray.shape
-    small, _ = pyramid(gray, DETECTION_PIXELS)
-    picture = small.astype(np.float32)
-    segments = detect_segments(gray)
+    free, hypotheses = _hypotheses(segments, size, camera)
+
+    def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
+        return pavings if slab is None else suited(looks.picture, pavings, slab) or pavings
+
+    promising = promising_plane(looks, hypotheses)
+    first = None if promising is None else lay_combs(looks, promising, free)
+    best = () if first is None else suitable((first,))
+    if not best or best[0].margin_nats < CERTAIN_NATS:
+        ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
+        for plane in ranked:
+            pavings = suitable(lay_lattice(looks, plane, free))
+            if pavings and (not best or pavings[0].margin_nats > best[0].margin_nats):
+                best = pavings
+            if best and best[0].margin_nats > CERTAIN_NATS:
+                break
+        if not best or best[0].margin_nats <= 0:
+            return _find_rows(looks, segments, size, ranked, best)
+    other = rival(best)
+    if other is not None:
+        raise ambiguous(best[0], other)
+    return best[0]
+
+
+def _hypotheses(
+    segments: Segments, size: tuple[int, int], camera: Camera | None
+) -> tuple[Free, list[Hypothesis]]:
+    """Grounds that the segments suggest, and what else is solved for while they are looked into."""
     if camera is not None:
-        free = Free(ratio=True)
-        hypotheses = [(camera, h.R) for h in ground_planes(segments, camera, max_hypotheses=HYPOTHESES)]
-    else:
-        free = Free(ratio=True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA)
-        hypotheses = [
-            (Camera.from_focal(width, height, focal), h.R)
-            for h, focal in ground_planes_unknown_focal(
-                segments, width, height, max_hypotheses=HYPOTHESES_NO_FOCAL
-            )
-        ]
-    ranked = comb_planes(small, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
-    best: tuple[Paving, ...] = ()
-    for plane in ranked:
-        pavings = lay_lattice(picture, plane, free)
-        if slab is not None:
-            pavings = suited(picture, pavings, slab) or pavings
-        if pavings and (not best or pavings[0].margin_nats > best[0].margin_nats):
-            best = pavings
-        if best and best[0].margin_nats > CERTAIN_NATS:
-            break
-    if best and best[0].margin_nats > 0:
-        other = rival(best)
-        if other is not None:
-            raise ambiguous(best[0], other)
-        return best[0]
-    fields = [lay_rows(picture, plane, segments, (width, height)) for plane in ranked]
+        found = [(camera, h.R) for h in ground_planes(segments, camera, max_hypotheses=HYPOTHESES)]
+        return Free(ratio=True), found
+    guessed = ground_planes_unknown_focal(segments, *size, max_hypotheses=HYPOTHESES_NO_FOCAL)
+    found = [(Camera.from_focal(*size, focal), h.R) for h, focal in guessed]
+    return Free(ratio=True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA), found
+
+
+def _find_rows(
+    looks: Looks,
+    segments: Segments,
+    size: tuple[int, int],
+    planes: list[PlaneCombs],
+    rejected: tuple[Paving, ...],
+) -> Rows:
+    """The rows that explain the photo best, where no lattice does better than chance."""
+    fields = [lay_rows(looks.picture, plane, segments, size) for plane in planes]
     rows = max((r for r in fields if r is not None), key=lambda r: r.margin_nats, default=None)
-    if rows is not None and rows.margin_nats > 0:
-        return rows
-    raise no_lattice(best[0] if best else None, rows)
+    if rows is None or rows.margin_nats <= 0:
+        raise no_lattice(rejected[0] if rejected else None, rows)
+    return rows
 
 
 def measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
@@ -152,20 +190,25 @@ def measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     """
     coarse = paving.fit
     height, width = picture.shape
-    strip = replace(coarse.strip, polarity_known=True)
-    state = (coarse.camera.scaled(width, height), coarse.cam_from_ground, coarse.grid)
     field = field_polygon(paving.presence)
-    for correction in range(MOST_SHIFTS + 1):
+
+    def measured(grid: Grid, near: Fit) -> Fit:
         fit = refine_until_still(
-            picture, *state, free=free, search=FIRST_SEARCH, reach=REACH, strip=strip, field=field
-        )
+            picture, near.camera.scaled(width, height), near.cam_from_ground, grid,
+            free=free, search=FIRST_SEARCH, reach=REACH, strip=replace(near.strip, polarity_known=True),
+            field=field,
+        )  # fmt: skip
         if fit is None:
             raise no_lattice(paving, None)
+        return fit
+
+    fit = measured(coarse.grid, coarse)
+    for _ in range(MOST_SHIFTS):
         shifted = with_measured_shift(fit)
-        if shifted is None or correction == MOST_SHIFTS:
-            return fit
-        state, strip = (fit.camera, fit.cam_from_ground, shifted.grid), fit.strip
-    raise AssertionError("unreachable: the last correction returns")
+        if shifted is None:
+            break
+        fit = measured(shifted.grid, fit)
+    return fit
 
 
 def _concluded(
@@ -215,18 +258,20 @@ def at_detection_scale(fit: Fit, small: np.ndarray, found: Paving) -> Fit:
 
 
 def _rows_settled(small: np.ndarray, fit: Fit, rows: Rows) -> Paving:
-    presence = side_presence(small, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+    presence = presence_of(small, fit)
     if len(presence.p) < 6:
         raise no_lattice(None, rows)
     return Paving(fit, presence, rows.paving.evidence_nats)
 
 
-def _explained(refusal: Refusal, gray: np.ndarray, camera: Camera | None) -> Refusal:
+def _explained(
+    refusal: Refusal, looks: Looks, segments: Segments, size: tuple[int, int], camera: Camera | None
+) -> Refusal:
     """The refusal, or a better one if the photo's joints fit another camera than the given one."""
     if camera is None:
         return refusal
     try:
-        other = find_paving(gray, None)
+        other = find_paving(looks, segments, size, None)
     except Refusal:
         return refusal
     if isinstance(other, Rows):

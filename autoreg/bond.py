@@ -70,9 +70,7 @@ def course_support(family: Family, comb: Comb) -> Courses:
         if last - first < 4 or last - first < 0.5 * whole:
             continue
         columns = slice(first, last)
-        part = Family(
-            family.evidence[:, columns], family.visible[:, columns], family.offset, along[columns]
-        )
+        part = Family(family.evidence[:, columns], family.visible[:, columns], family.offset, along[columns])
         edges = np.rint(np.linspace(0, last - first, max(1, round((last - first) / 32)) + 1)).astype(int)
         support, samples = line_support(part, edges)
         counted = samples > 0.6 * np.diff(edges)

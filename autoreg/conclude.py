@@ -11,8 +11,9 @@ from jaxtyping import Float
 from autoreg.alignment import JointFit, Residual
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
+from autoreg.ground_frame import quarter_turns
 from autoreg.lattice import Lattice, LatticeKind
-from autoreg.paving import has_ratio
+from autoreg.lattice_choice import has_ratio
 from autoreg.presence import PRESENT, Presence, field_polygon
 from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
@@ -46,8 +47,7 @@ class Frame:
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:
         """Old ground axes from this frame's."""
-        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[self.quarter_turns % 4]
-        return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]], dtype=float)
+        return quarter_turns(self.quarter_turns)
 
     def points(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Ground points of the old frame, in this one."""

@@ -23,6 +23,8 @@ SUPPORT_RANGE = 12.0
 # The most that one joint may add, in nats: no single line decides.
 CAP = 3.0
 PHASES = 48
+# Entries of the table in which the support of a place on the ground is looked up.
+TABLE = 8192
 
 
 @dataclass(frozen=True)
@@ -96,20 +98,27 @@ def comb_scores(
 
     Lines that lie closer than `min_step` rows to the next one are not counted: they cannot be told apart.
     """
-    n = len(offset)
-    step, rows = np.gradient(offset), np.arange(n)
-    usable = np.where(valid, llr, 0.0)
-    scores = np.full((len(spacings), PHASES), -np.inf)
-    for s, spacing in enumerate(spacings):
-        k = np.arange(np.floor(offset[0] / spacing) - 1, np.ceil(offset[-1] / spacing) + 2)
-        at = (np.arange(PHASES) / PHASES * spacing)[:, None] + k * spacing
-        row = np.rint(np.interp(at, offset, rows, left=-1, right=-1)).astype(int)
-        inside = row >= 0
-        row = np.clip(row, 0, n - 1)
-        inside &= valid[row] & (spacing / step[row] >= min_step)
-        total = (usable[row] * inside).sum(1)
-        scores[s] = np.where(inside.sum(1) >= min_lines, total, -np.inf)
-    return scores
+    low, high = float(offset[0]), float(offset[-1])
+    # The table is finer than the rows, so that a place is looked up without searching for its row.
+    at = np.linspace(low, high, TABLE)
+    row = np.rint(np.interp(at, offset, np.arange(len(offset)))).astype(int)
+    known = valid[row]
+    gain = np.where(known, llr[row], 0.0)
+    finest = np.where(known, min_step * np.gradient(offset)[row], np.inf)
+    # Place p of a spacing is p / PHASES of it: line p // PHASES of phase p % PHASES.
+    first = np.ceil(low / spacings * PHASES).astype(int)
+    count = np.floor(high / spacings * PHASES).astype(int) + 1 - first
+    which = np.repeat(np.arange(len(spacings)), count)
+    place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
+    spacing = spacings[which]
+    index = np.rint((place * (spacing / PHASES) - low) * ((TABLE - 1) / (high - low))).astype(int)
+    index = np.clip(index, 0, TABLE - 1)
+    told = finest[index] <= spacing
+    cell = which * PHASES + place % PHASES
+    size = len(spacings) * PHASES
+    total = np.bincount(cell, gain[index] * told, size)
+    lines = np.bincount(cell, told, size)
+    return np.where(lines >= min_lines, total, -np.inf).reshape(-1, PHASES)
 
 
 def best_combs(family: Family, *, count: int = 4) -> tuple[Comb, ...]:

@@ -8,7 +8,7 @@ a p-value that needs no model of the texture.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull, KDTree
 from autoreg.camera import Camera
 from autoreg.edges import sample_profiles, strip_support
 from autoreg.geometry import Rigid
-from autoreg.refine import Strip
+from autoreg.refine import Fit, Strip
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, Stations, visible_sides
 
 # The controls lie between these shares of the spacing off the predicted joint. Few sides get many controls
@@ -117,6 +117,11 @@ def side_presence(
             above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
             p[rows] = (1 + above) / (1 + len(beside))
     return Presence(sides, p, 2.0 * size)
+
+
+def presence_of(picture: Float[np.ndarray, "h w"], fit: Fit) -> Presence:
+    """How well each visible side of a fit's lattice is supported by the picture of its camera."""
+    return side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
 
 
 def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
@@ -220,8 +225,3 @@ def field_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:
     corners = 0.05 * length * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
     points = (presence.sides.ends[field].reshape(-1, 1, 2) + corners).reshape(-1, 2)
     return points[ConvexHull(points).vertices]
-
-
-def with_origin(pose: Rigid, x: float, y: float) -> Rigid:
-    """The pose with the ground's origin moved to (x, y)."""
-    return replace(pose, t=pose.t + pose.R[:, 0] * x + pose.R[:, 1] * y)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from autoreg.camera import Camera
 
@@ -47,13 +47,34 @@ class Rectified:
     y: Family
 
 
+@dataclass(frozen=True)
+class Gradient:
+    """Gradient of a picture, in grey levels per pixel."""
+
+    x: Float32[np.ndarray, "h w"]
+    y: Float32[np.ndarray, "h w"]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture."""
+        return self.x.shape[1], self.x.shape[0]
+
+
+def picture_gradient(gray: np.ndarray) -> Gradient:
+    """Gradient of a slightly smoothed grey picture."""
+    smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7)
+    return Gradient(
+        cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32), cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
+    )
+
+
 def rectify(
-    gray: np.ndarray, camera: Camera, R: Float[np.ndarray, "3 3"], *, reach: float = 12.0, size: int = 800
+    gradient: Gradient, camera: Camera, R: Float[np.ndarray, "3 3"], *, reach: float = 12.0, size: int = 800
 ) -> Rectified | None:
     """Evidence for joints along X and along Y on the ground plane of a rotation, or None if none is seen.
 
     Args:
-        gray: picture at detection scale, that `camera` belongs to.
+        gradient: of the picture at detection scale, that `camera` belongs to.
         camera: its camera.
         R: cam_from_ground rotation; its third column is the ground's upward normal in camera axes.
         reach: how far from the point below the camera to look, in camera heights.
@@ -63,9 +84,6 @@ def rectify(
     if axes is None:
         return None
     xs, ys = axes
-    smooth = cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7)
-    grad_x = cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32)
-    grad_y = cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
     Rf = R.astype(np.float32)
     xf, yf = xs.astype(np.float32)[None, :], ys.astype(np.float32)[:, None]
     X, Y, Z = (Rf[i, 0] * xf + Rf[i, 1] * yf - Rf[i, 2] for i in range(3))
@@ -82,8 +100,8 @@ def rectify(
         ahead & (u > 1) & (u < camera.width - 2) & (v > 1) & (v < camera.height - 2)
         & (xf * xf + yf * yf < reach * reach)
     )  # fmt: skip
-    gu = cv2.remap(grad_x, u, v, cv2.INTER_LINEAR)
-    gv = cv2.remap(grad_y, u, v, cv2.INTER_LINEAR)
+    gu = cv2.remap(gradient.x, u, v, cv2.INTER_LINEAR)
+    gv = cv2.remap(gradient.y, u, v, cv2.INTER_LINEAR)
     # Picture directions of X and of Y (distortion turns them by little, which the evidence tolerates).
     xu, xv = (Rf[0, 0] - xn * Rf[2, 0]) * fx, (Rf[1, 0] - yn * Rf[2, 0]) * fy
     yu, yv = (Rf[0, 1] - xn * Rf[2, 1]) * fx, (Rf[1, 1] - yn * Rf[2, 1]) * fy
@@ -105,9 +123,7 @@ def _contrast(gradient: np.ndarray, visible: np.ndarray) -> np.ndarray:
     return np.where(visible, gradient / (strength + mean), 0.0).astype(np.float32)
 
 
-def grid_axes(
-    camera: Camera, R: np.ndarray, reach: float, size: int
-) -> tuple[np.ndarray, np.ndarray] | None:
+def grid_axes(camera: Camera, R: np.ndarray, reach: float, size: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Ground coordinates of the grid's columns and rows, one pixel apart where the picture is densest."""
     u, v = np.linspace(0, camera.width - 1, 61), np.linspace(0, camera.height - 1, 61)
     px = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)

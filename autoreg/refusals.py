@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from autoreg.errors import Refusal
-from autoreg.paving import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
+from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows import Rows
 
 # A camera's focal length must differ by this much before it is blamed for a refusal.

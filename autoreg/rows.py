@@ -12,11 +12,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import poisson
 
-from autoreg.camera import Camera
 from autoreg.geometry import Rigid
-from autoreg.paving import FALSE_ALARM_NATS, QUARTER_TURN, TESTED_NATS, Paving, PlaneCombs, line_evidence
-from autoreg.presence import Presence, best_pattern, broken, field_polygon, side_presence, with_origin
-from autoreg.refine import Fit, Free, refine
+from autoreg.ground_frame import turned, with_origin
+from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving, line_evidence
+from autoreg.paving import PlaneCombs, fit_outwards, refine_in_field
+from autoreg.presence import Presence, best_pattern, broken, field_polygon, presence_of
+from autoreg.refine import Fit, Free
 from autoreg.segments import Segments
 from autoreg.stations import ALONG_X, Grid
 
@@ -62,51 +63,43 @@ def lay_rows(
     `size` is the photo's width and height, in whose pixels the segments are.
     """
     best: Rows | None = None
-    for turned, combs in ((False, plane.x), (True, plane.y)):
+    for quarters, combs in ((0, plane.x), (1, plane.y)):
         if not combs or combs[0].score < WORTH_NATS:
             continue
-        across, phase = combs[0].spacing, combs[0].phase
-        origin = np.array([phase, 0.0, -1.0]) if turned else np.array([0.0, phase, -1.0])
-        start = Rigid(plane.R @ QUARTER_TURN if turned else plane.R, plane.R @ origin)
-        found = _refined(picture, plane.camera, start, Grid(None, across), segments, size)
+        origin = np.array([combs[0].phase, 0.0, -1.0] if quarters else [0.0, combs[0].phase, -1.0])
+        start = turned(Rigid(plane.R, plane.R @ origin), quarters)
+        fit = _fit_rows(picture, plane, start, Grid(None, combs[0].spacing))
+        found = None if fit is None else _rows_of(picture, fit, segments, size)
         if found is not None and (best is None or found.margin_nats > best.margin_nats):
             best = found
     return best
 
 
-def _refined(
-    picture: np.ndarray, camera: Camera, pose: Rigid, grid: Grid, segments: Segments, size: tuple[int, int]
-) -> Rows | None:
-    free = Free(step_sigma=STEP_SIGMA)
-    fit = refine(picture, camera, pose, grid, free=free, search=0.2, reaches=(2.5, 4.0, 7.0))
+def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) -> Fit | None:
+    """The fit of unbroken joints, coarsened where only every second or third of them is there."""
+    fit = fit_outwards(picture, plane, start, grid, Free(step_sigma=STEP_SIGMA))
     for _ in range(3):
         if fit is None:
             return None
-        presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+        presence = presence_of(picture, fit)
         if len(presence.p) < 6:
             return None
         pattern = best_pattern(presence, ALONG_X)[0]
-        if pattern.period > 1 and pattern.advance == 0:
-            wider = Grid(None, fit.grid.spacing_y * pattern.period)
-            pose = with_origin(fit.cam_from_ground, 0.0, pattern.phase * fit.grid.spacing_y)
-            fit = replace(fit, grid=wider, cam_from_ground=pose)
-            continue
-        field = field_polygon(presence)
-        within = refine(
-            picture, fit.camera, fit.cam_from_ground, fit.grid,
-            free=free, search=0.05, reaches=(9.0, 9.0), strip=fit.strip, field=field,
-        )  # fmt: skip
-        fit = within or fit
-        break
-    if fit is None:
-        return None
-    presence = side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+        if pattern.period == 1 or pattern.advance:
+            return refine_in_field(picture, fit, field_polygon(presence))
+        wider = Grid(None, fit.grid.spacing_y * pattern.period)
+        pose = with_origin(fit.cam_from_ground, 0.0, pattern.phase * fit.grid.spacing_y)
+        fit = replace(fit, grid=wider, cam_from_ground=pose)
+    return fit
+
+
+def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int, int]) -> Rows | None:
+    """The rows of a fit, if its joints are unbroken and even and cross joints lie between them."""
+    presence = presence_of(picture, fit)
     if len(presence.p) < 6 or broken(presence, ALONG_X):
         return None
     cross = find_cross_joints(segments, fit, field_polygon(presence), size)
-    if len(cross.middle) == 0:
-        return None
-    if not _evenly_spaced(presence):
+    if len(cross.middle) == 0 or not _evenly_spaced(presence):
         return None
     x, _ = line_evidence(presence, fit.grid)
     middle = np.median(cross.middle, axis=0)

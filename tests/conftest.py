@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from paved import CHECKER, GRAVEL, HALF_BOND, STACK, fit_of
 
-from autoreg.rectify import Rectified, rectify
+from autoreg.rectify import Rectified, picture_gradient, rectify
 from autoreg.refine import Fit
 from autoreg.synthetic import SyntheticPhoto, render_paving
 
@@ -42,6 +42,8 @@ def half_fit(half_photo: SyntheticPhoto) -> Fit:
 
 @pytest.fixture(scope="session")
 def stack_rectified(stack_photo: SyntheticPhoto) -> Rectified:
-    rectified = rectify(stack_photo.pixels.mean(-1), stack_photo.camera, stack_photo.cam_from_ground.R)
+    rectified = rectify(
+        picture_gradient(stack_photo.pixels.mean(-1)), stack_photo.camera, stack_photo.cam_from_ground.R
+    )
     assert rectified is not None
     return rectified

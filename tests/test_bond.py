@@ -8,7 +8,7 @@ from paved import GRAVEL, HALF_BOND, STACK, THIRD_BOND
 
 from autoreg.bond import BondHypothesis, Courses, best_bonds, bond_hypotheses, course_support
 from autoreg.periods import PHASES, Comb
-from autoreg.rectify import near_reach, rectify
+from autoreg.rectify import near_reach, picture_gradient, rectify
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, render_paving
 
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -52,7 +52,7 @@ def test_without_courses_no_spacing_has_a_score():
 
 def hypotheses(photo: SyntheticPhoto, R: np.ndarray):
     picture = photo.pixels.mean(-1)
-    rectified = rectify(picture, photo.camera, R, reach=near_reach(photo.camera, R))
+    rectified = rectify(picture_gradient(picture), photo.camera, R, reach=near_reach(photo.camera, R))
     assert rectified is not None
     return bond_hypotheses(rectified)
 
@@ -105,7 +105,7 @@ def test_hypotheses_come_best_first(half_photo: SyntheticPhoto):
 
 def test_courses_lie_between_the_unbroken_joints(half_photo: SyntheticPhoto):
     camera, R = half_photo.camera, half_photo.cam_from_ground.R
-    rectified = rectify(half_photo.pixels.mean(-1), camera, R, reach=near_reach(camera, R))
+    rectified = rectify(picture_gradient(half_photo.pixels.mean(-1)), camera, R, reach=near_reach(camera, R))
     assert rectified is not None
     eye = half_photo.cam_from_ground.origin_in_a
     b = 0.3 / eye[2]

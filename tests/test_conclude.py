@@ -20,7 +20,8 @@ from autoreg.conclude import (
 )
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
-from autoreg.presence import Presence, side_presence, with_origin
+from autoreg.ground_frame import with_origin
+from autoreg.presence import Presence, side_presence
 from autoreg.refine import Fit
 from autoreg.stations import Grid, project_ground
 from autoreg.synthetic import SyntheticPhoto

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from paved import GRAVEL, gray_of, misses, nudged
 
-from autoreg.paving import comb_planes, lay_lattice, rival, settle_bond, with_pattern
+from autoreg.lattice_choice import rival, settle_bond, with_pattern
+from autoreg.paving import comb_planes, lay_lattice, looks_at
 from autoreg.presence import Pattern
 from autoreg.refine import Fit, Free, Strip
 from autoreg.segments import detect_segments
@@ -121,8 +122,9 @@ def test_from_a_roughly_known_plane_to_the_lattice(name: str, request: pytest.Fi
     photo: SyntheticPhoto = request.getfixturevalue(f"{name}_photo")
     true = photo.cam_from_ground
     wrong = nudged(true, 12.0, 0.0, 4)
+    looks = looks_at(photo.pixels.mean(-1).astype(np.uint8))
     planes = comb_planes(
-        photo.pixels.mean(-1).astype(np.uint8),
+        looks,
         segments_of(photo),
         [(photo.camera, wrong.R), (photo.camera, nudged(true, 0.5, 0.0, 3).R)],
         free_focal=False,
@@ -131,7 +133,7 @@ def test_from_a_roughly_known_plane_to_the_lattice(name: str, request: pytest.Fi
     assert planes[0].score > planes[1].score
     up = [plane.R[:, 2] @ true.R[:, 2] for plane in planes]
     assert np.rad2deg(np.arccos(np.clip(up[0], -1, 1))) < 1.0
-    pavings = lay_lattice(gray_of(photo), planes[0], Free(ratio=True))
+    pavings = lay_lattice(looks, planes[0], Free(ratio=True))
     assert pavings[0].margin_nats > 0
     assert rival(pavings) is None
     fit = in_metres(pavings[0].fit, photo)
@@ -141,11 +143,12 @@ def test_from_a_roughly_known_plane_to_the_lattice(name: str, request: pytest.Fi
 
 
 def test_no_lattice_is_laid_on_gravel(gravel_photo: SyntheticPhoto):
+    looks = looks_at(gravel_photo.pixels.mean(-1).astype(np.uint8))
     planes = comb_planes(
-        gravel_photo.pixels.mean(-1).astype(np.uint8),
+        looks,
         segments_of(gravel_photo),
         [(gravel_photo.camera, GRAVEL.cam_from_ground.R)],
         free_focal=False,
     )
-    pavings = [p for plane in planes for p in lay_lattice(gray_of(gravel_photo), plane, Free(ratio=True))]
+    pavings = [p for plane in planes for p in lay_lattice(looks, plane, Free(ratio=True))]
     assert all(paving.margin_nats < 0 for paving in pavings)

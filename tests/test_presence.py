@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paved import CAMERA, STACK, gray_of
 
+from autoreg.ground_frame import with_origin
 from autoreg.presence import (
     Presence,
     best_pattern,
     field_polygon,
     p_llr,
     side_presence,
-    with_origin,
 )
 from autoreg.refine import Fit, Strip
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, inside_convex, slab_sides

@@ -10,7 +10,7 @@ from paved import CAMERA, STACK
 
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
-from autoreg.rectify import Family, Rectified, grid_axes, line_support, near_reach, rectify
+from autoreg.rectify import Family, Rectified, grid_axes, line_support, near_reach, picture_gradient, rectify
 from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
 
 UP = look_at_ground(pitch_deg=-45.0, height_m=1.0).R
@@ -45,7 +45,7 @@ def test_lines_at_the_joints_stand_out_from_those_between_them(stack_rectified: 
 
 def test_a_wrong_orientation_blurs_the_lines(stack_photo: SyntheticPhoto, stack_rectified: Rectified):
     turned = rotation_from_vector(np.deg2rad([0.0, 0.0, 3.0])) @ stack_photo.cam_from_ground.R
-    askew = rectify(stack_photo.pixels.mean(-1), stack_photo.camera, turned)
+    askew = rectify(picture_gradient(stack_photo.pixels.mean(-1)), stack_photo.camera, turned)
     assert askew is not None
 
     def contrast(family: Family) -> float:
@@ -70,13 +70,13 @@ def test_both_families_look_at_the_same_ground(stack_rectified: Rectified):
 
 def test_a_uniform_picture_is_no_evidence():
     flat = np.full((CAMERA.height, CAMERA.width), 120.0)
-    rectified = rectify(flat, CAMERA, STACK.cam_from_ground.R)
+    rectified = rectify(picture_gradient(flat), CAMERA, STACK.cam_from_ground.R)
     assert rectified is not None
     assert not rectified.x.evidence.any()
 
 
 def test_the_sky_has_no_rectification():
-    assert rectify(np.zeros((CAMERA.height, CAMERA.width)), CAMERA, UP) is None
+    assert rectify(picture_gradient(np.zeros((CAMERA.height, CAMERA.width))), CAMERA, UP) is None
     assert grid_axes(CAMERA, UP, 12.0, 800) is None
 
 
@@ -105,7 +105,9 @@ def test_neighbours_on_the_ground_grid_are_at_most_about_a_pixel_apart(
 
 def test_a_lens_is_undone(stack_rectified: Rectified):
     scene = replace(STACK, camera=replace(CAMERA, dist=(-0.2, 0.06, 6e-4, -4e-4)))
-    bent = rectify(render_paving(scene).pixels.mean(-1), scene.camera, scene.cam_from_ground.R)
+    bent = rectify(
+        picture_gradient(render_paving(scene).pixels.mean(-1)), scene.camera, scene.cam_from_ground.R
+    )
     assert bent is not None
     eye = scene.cam_from_ground.origin_in_a
     spacing, phase = scene.spacing_m[1] / eye[2], -float(eye[1] / eye[2])

@@ -1,0 +1,223 @@
+"""Which lattice the sides of slabs show: its bond, multiples and parts of its spacings, and rivals.
+
+A lattice found as two combs may be twice as fine, or as coarse, as the slabs, and says nothing of their bond.
+The presence of every single slab side tells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.bond import customary_shift
+from autoreg.ground_frame import turned, with_origin
+from autoreg.presence import (
+    FIELD_COST,
+    FIELD_SHARES,
+    Pattern,
+    Presence,
+    best_pattern,
+    broken,
+    presence_of,
+)
+from autoreg.refine import Fit
+from autoreg.stations import ALONG_X, ALONG_Y, Grid
+
+# What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
+TESTED_NATS = 2 * float(np.log(7000)) + float(np.log(24))
+# Chance of one false alarm in this many photos without a lattice.
+FALSE_ALARM_NATS = float(np.log(1000.0))
+# Sides of one unbroken line stand and fall together: a line counts as at most this many independent ones.
+INDEPENDENT_SIDES = 3.0
+# Logarithm by which the sides' ratio in the photo may differ from the given one: coarse fits, uneven slabs
+# and nominal sizes without the joint stay below it.
+RATIO_TOLERANCE = 0.08
+# A lattice this close to the best one is as good an answer.
+RIVAL_NATS = 3.0
+# How much better a finer lattice must explain the sides between the joints.
+SUBDIVIDE_NATS = 6.0
+
+
+@dataclass(frozen=True)
+class Paving:
+    """A lattice on the ground with the pose that sees it.
+
+    `evidence_nats` is the logarithm of the likelihood ratio of this lattice to chance, for the sides along X
+    and along Y, unpenalised.
+    """
+
+    fit: Fit
+    presence: Presence
+    evidence_nats: tuple[float, float]
+
+    @property
+    def grid(self) -> Grid:
+        """The lattice."""
+        return self.fit.grid
+
+    @property
+    def margin_nats(self) -> float:
+        """Evidence beyond what the number of tested hypotheses demands, of the weaker family in any case."""
+        return min(
+            sum(self.evidence_nats) - TESTED_NATS - FALSE_ALARM_NATS,
+            2.0 * (min(self.evidence_nats) - 0.5 * TESTED_NATS),
+        )
+
+
+def rival(pavings: tuple[Paving, ...]) -> Paving | None:
+    """The first of the pavings whose lattice differs from the best one's and explains the picture as well."""
+    best = pavings[0]
+    mine = sorted((best.grid.spacing_x or 0.0, best.grid.spacing_y))
+    for other in pavings[1:]:
+        if other.margin_nats < max(0.0, best.margin_nats - RIVAL_NATS):
+            break
+        theirs = sorted((other.grid.spacing_x or 0.0, other.grid.spacing_y))
+        turn = abs(other.grid.shift - best.grid.shift)
+        if not np.allclose(mine, theirs, rtol=0.05) or 0.05 < turn < 0.95:
+            return other
+    return None
+
+
+def suited(
+    picture: Float[np.ndarray, "h w"], pavings: tuple[Paving, ...], slab: tuple[float, float]
+) -> tuple[Paving, ...]:
+    """The lattices, or coarser ones within them, whose sides are in the ratio of a known slab, best first.
+
+    A few slabs can look like many halves; who knows the slab need not guess.
+    """
+    found = list(pavings)
+    for paving in pavings[:3]:
+        for family in (ALONG_X, ALONG_Y):
+            coarser = [p for p in best_pattern(paving.presence, family) if p.period in (2, 3)][:4]
+            whole = Pattern(1, 0, 0, 0.0)
+            for pattern in coarser:
+                pair = (pattern, whole) if family == ALONG_X else (whole, pattern)
+                fit = with_pattern(paving.fit, *pair)
+                other = None if fit is None or not has_ratio(fit.grid, slab) else presented(picture, fit)
+                if other is not None:
+                    found.append(other)
+    return tuple(sorted((p for p in found if has_ratio(p.grid, slab)), key=lambda p: -p.margin_nats))
+
+
+def has_ratio(grid: Grid, slab: tuple[float, float]) -> bool:
+    """Whether a lattice's sides may be in the ratio of a slab's, in either order."""
+    if grid.spacing_x is None:
+        return True
+    seen = np.log(max(grid.spacing_x, grid.spacing_y) / min(grid.spacing_x, grid.spacing_y))
+    return bool(abs(seen - np.log(max(slab) / min(slab))) < RATIO_TOLERANCE)
+
+
+def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
+    """The bond that the presence of the single sides shows, with the lattice's axes turned to suit it.
+
+    The lattice is coarsened where whole classes of its sides are absent, and refined where sides are found
+    between its joints.
+    """
+    best = presented(picture, fit)
+    for _ in range(6):
+        if best is None:
+            return None
+        fit, presence = best.fit, best.presence
+        along_x, along_y = best_pattern(presence, ALONG_X)[0], best_pattern(presence, ALONG_Y)[0]
+        changed = with_pattern(fit, along_x, along_y)
+        if changed is None:
+            changed = _subdivided(picture, fit)
+        other = None if changed is None else presented(picture, changed)
+        if other is None:
+            break
+        # What a staggered pattern promised must hold when the new lattice is measured by itself. A coarser
+        # one has fewer lines to count, and is judged by the lines that the finer one predicts in vain.
+        coarser = along_x.advance == along_y.advance == 0 and max(along_x.period, along_y.period) in (2, 3)
+        if not coarser and sum(other.evidence_nats) < sum(best.evidence_nats) - 1.0:
+            break
+        best = other
+    return best
+
+
+def presented(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
+    """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do."""
+    presence = presence_of(picture, fit)
+    if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
+        return None
+    return Paving(fit, presence, line_evidence(presence, fit.grid))
+
+
+def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
+    """The fit with a finer lattice, if sides are there between the joints of the one it has."""
+    grid = fit.grid
+    if grid.spacing_x is None:
+        return None
+    for factor in (2, 3):
+        for family in (ALONG_X, ALONG_Y):
+            if grid.shift and family == ALONG_X:
+                continue
+            a = grid.spacing_x / (factor if family == ALONG_Y else 1)
+            b = grid.spacing_y / (factor if family == ALONG_X else 1)
+            fine = replace(fit, grid=Grid(a, b, (grid.shift * factor) % 1.0 if grid.shift else 0.0))
+            best = best_pattern(presence_of(picture, fine), family)
+            same = (factor, _carry(grid, factor), 0)
+            known = next(p for p in best if (p.period, p.advance, p.phase) == same)
+            if best[0].score - known.score > SUBDIVIDE_NATS:
+                other = Pattern(1, 0, 0, 0.0)
+                x, y = (best[0], other) if family == ALONG_X else (other, best[0])
+                return with_pattern(fine, x, y) or fine
+    return None
+
+
+def _carry(grid: Grid, factor: int) -> int:
+    """How the columns of a lattice advance from row to row in the same lattice with finer columns."""
+    return -int(np.floor(grid.shift * factor)) % factor if grid.shift else 0
+
+
+def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
+    """The fit with the lattice that a pattern of present sides means; None if it is the one it has."""
+    grid, pose = fit.grid, fit.cam_from_ground
+    a, b = grid.spacing_x, grid.spacing_y
+    if a is None or along_x.period == along_y.period == 1:
+        return None
+    if along_y.period > 1 and (grid.shift or along_x.period == 1 or along_y.advance == 0):
+        # Present are the columns phase + advance * row + k * period of each row.
+        shift = customary_shift(((along_y.advance + grid.shift) / along_y.period) % 1.0)
+        origin = with_origin(pose, along_y.phase * a, 0.0)
+        return replace(fit, grid=Grid(a * along_y.period, b, shift), cam_from_ground=origin)
+    if grid.shift:
+        return None
+    if along_x.advance == 0:
+        origin = with_origin(pose, 0.0, along_x.phase * b)
+        return replace(fit, grid=Grid(a, b * along_x.period), cam_from_ground=origin)
+    if along_y.period > 1:
+        return None
+    # The unbroken joints run along Y: the new X axis is Y, the new Y axis is -X. The new course 0 is the old
+    # column -1, hence the one advance in its phase.
+    moved = with_origin(pose, 0.0, (along_x.phase - along_x.advance) * b)
+    shift = (-along_x.advance / along_x.period) % 1.0
+    return replace(
+        fit,
+        grid=Grid(b * along_x.period, a, shift),
+        cam_from_ground=turned(moved),
+        strip=replace(fit.strip, width=fit.strip.width[::-1], polarity=fit.strip.polarity[::-1]),
+    )
+
+
+def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
+    """Log likelihood ratio of the lattice, per family, over the part of the picture that suits best."""
+    options = [_evidence_of(presence.nearest(share), grid) for share in FIELD_SHARES]
+    x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
+    return x - 0.5 * FIELD_COST, y - 0.5 * FIELD_COST
+
+
+def _evidence_of(presence: Presence, grid: Grid) -> tuple[float, float]:
+    """Log likelihood ratio of the lattice, per family, with the sides of a line taken together."""
+    total: list[float] = []
+    for family in (ALONG_X, ALONG_Y):
+        rows = np.flatnonzero(presence.sides.family == family)
+        line = presence.sides.line[rows]
+        if family == ALONG_Y and grid.shift:
+            line = line * 10_000 + presence.sides.cell[rows]
+        _, inverse = np.unique(line, return_inverse=True)
+        count = np.bincount(inverse)
+        mean = np.bincount(inverse, weights=presence.llr(rows)) / np.maximum(count, 1)
+        total.append(float((mean * np.minimum(count, INDEPENDENT_SIDES)).sum()))
+    return total[0], total[1]
