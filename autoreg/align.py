@@ -18,6 +18,7 @@ from autoreg.conclude import (
     slab_mismatch,
     with_slab_ratio,
 )
+from autoreg.corrections import recentred, with_measured_shift
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
@@ -35,7 +36,7 @@ from autoreg.paving import (
     promising_plane,
 )
 from autoreg.presence import field_polygon, presence_of
-from autoreg.refine import Fit, Free, recentred, refine_until_still, with_measured_shift
+from autoreg.refine import Fit, Free, refine_until_still
 from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows, lay_rows
 from autoreg.segments import Segments, detect_segments

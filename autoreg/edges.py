@@ -9,42 +9,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from jaxtyping import Float, Int
-from scipy.special import ndtr
+from jaxtyping import Float, Float32, Int
 
-from autoreg.camera import Camera
-from autoreg.geometry import Rigid
-from autoreg.stations import Stations, project_ground
+from autoreg.profiles import STEP_PX, Profiles
 
-STEP_PX = 0.5
-ALONG_SAMPLES = 16
 # Neighbouring pixels of texture and of the lens's blur are not independent: the number of free values in a
 # profile is about this share of its samples.
 INDEPENDENT = 0.5 * STEP_PX
 # Variance of grey levels that every mean profile has, whatever it looks like.
 NOISE_FLOOR = 0.02
-
-
-@dataclass(frozen=True)
-class Profiles:
-    """Grey levels across each station: `values[n, p]` at `at_px[p]` from `centre_px[n]` along `normal[n]`.
-
-    `px_per_unit` is the scale across the joint there: how many pixels a unit of ground spans.
-    """
-
-    values: Float[np.ndarray, "n p"]
-    at_px: Float[np.ndarray, " p"]
-    centre_px: Float[np.ndarray, "n 2"]
-    normal: Float[np.ndarray, "n 2"]
-    px_per_unit: Float[np.ndarray, " n"]
-
-    def take(self, index: np.ndarray) -> Profiles:
-        """The profiles of some stations."""
-        return Profiles(
-            self.values[index], self.at_px, self.centre_px[index], self.normal[index], self.px_per_unit[index]
-        )
+# So many profiles are fitted at a time: what a processor's cache holds.
+BATCH = 512
+# Offsets that move by less than this have converged.
+STILL_PX = 1e-3
 
 
 @dataclass(frozen=True)
@@ -60,53 +38,43 @@ class Offsets:
     depth: Float[np.ndarray, " n"]
     step: Float[np.ndarray, " n"]
     strength: Float[np.ndarray, " n"]
-    residual: Float[np.ndarray, " n"]
 
 
-def sample_profiles(
-    picture: Float[np.ndarray, "h w"],
-    camera: Camera,
-    cam_from_ground: Rigid,
-    stations: Stations,
-    half_px: float,
-) -> Profiles:
-    """Mean profiles across the stations, each averaged along its stretch of joint."""
-    reach = stations.half_length[:, None] * stations.direction
-    fraction = (np.arange(ALONG_SAMPLES) + 0.5) / ALONG_SAMPLES * 2 - 1
-    along = stations.ground[:, None] + fraction[:, None] * reach[:, None]
-    centre = project_ground(camera, cam_from_ground, stations.ground)
-    line = project_ground(camera, cam_from_ground, along)
-    tangent = line[:, -1] - line[:, 0]
-    normal = np.stack([-tangent[:, 1], tangent[:, 0]], 1)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # The normal points to growing ground coordinate, so that signs mean the same along a joint.
-    small = 1e-4 * cam_from_ground.origin_in_a[2]
-    across = stations.direction[:, ::-1]
-    moved = project_ground(camera, cam_from_ground, stations.ground + small * across)
-    per_unit = ((moved - centre) * normal).sum(1) / small
-    normal *= np.sign(per_unit)[:, None]
-    count = int(np.ceil(half_px / STEP_PX))
-    at = np.arange(-count, count + 1) * STEP_PX
-    uv = line[:, :, None] + at[:, None] * normal[:, None, None]
-    n, m, p = len(stations), ALONG_SAMPLES, len(at)
-    uv = uv.reshape(n, m * p, 2).astype(np.float32)
-    grey = np.empty((n, m * p), np.float32)
-    # remap takes at most 32,767 rows and columns.
-    for start in range(0, n, 16_384):
-        part = slice(start, start + 16_384)
-        u, v = uv[part, :, 0], uv[part, :, 1]
-        grey[part] = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    values = grey.reshape(n, m, p).mean(1).astype(np.float64)
-    return Profiles(values, at, centre, normal, np.abs(per_unit))
+def _edge(x: Float32[np.ndarray, "*n"]) -> tuple[Float32[np.ndarray, "*n"], Float32[np.ndarray, "*n"]]:
+    """A blurred edge of unit height and blur, and exp(-x^2 / 2), its slope up to a factor.
+
+    The normal distribution by Abramowitz and Stegun, 7.1.26 (good to 1e-7).
+    """
+    bell = np.exp(-0.5 * x * x)
+    t = 1.0 / (1.0 + np.float32(0.3275911 * np.sqrt(0.5)) * np.abs(x))
+    tail = t * (0.127414796 + t * (-0.142248368 + t * (0.710706871 + t * (-0.726576014 + t * 0.530702715))))
+    tail *= bell
+    return np.where(x < 0, tail, 1.0 - tail), bell
 
 
-def _basis(
-    at: Float[np.ndarray, " p"], centre: Float[np.ndarray, "*n"], width: Float[np.ndarray, "*n"], blur: float
-) -> Float[np.ndarray, "*n p 3"]:
-    """Constant, near edge and far edge of a strip."""
-    s = at - centre[..., None]
-    half = 0.5 * width[..., None]
-    return np.stack([np.ones_like(s), ndtr((s + half) / blur), ndtr((s - half) / blur)], -1)
+def _single(values: np.ndarray) -> Float32[np.ndarray, "*n"]:
+    return np.asarray(values, np.float32)
+
+
+def _strips(
+    at: Float[np.ndarray, " p"], centre: Float[np.ndarray, " c"], width: float, blur: float
+) -> np.ndarray:
+    """Step and strip of one width at each centre, orthonormal and without mean: shape (c, p, 2).
+
+    Orthonormal columns make the explained variance a sum of squares. The strip's sign is that of a light one.
+    """
+    s = at - centre[:, None]
+    near, far = (_edge(_single((s + side * 0.5 * width) / blur))[0].astype(float) for side in (1.0, -1.0))
+    both = np.stack([near + far, near - far], -1)
+    orthonormal, upper = np.linalg.qr(both - both.mean(1, keepdims=True))
+    return orthonormal * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :]
+
+
+def _explained(centred: Float32[np.ndarray, "n p"], strips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Components of profiles along the step and along the strip, for each centre: two arrays (n, c)."""
+    c, p, _ = strips.shape
+    both = centred @ _single(strips.transpose(1, 2, 0).reshape(p, 2 * c))
+    return both[:, :c], both[:, c:]
 
 
 def search_offsets(
@@ -118,21 +86,16 @@ def search_offsets(
     """
     at = profiles.at_px
     candidates = np.arange(-np.floor(reach_px), np.floor(reach_px) + 0.25, 0.5)
+    prior = _single(0.5 * (candidates / prior_px) ** 2)
     bucket = np.clip(np.round(2 * np.log2(np.maximum(width_px, 1.0))), 0, 9).astype(int)
     best = np.zeros(len(profiles.values))
     centred = profiles.values - profiles.values.mean(1, keepdims=True)
     total = (centred**2).sum(1) + 1e-6
     for level in np.unique(bucket):
         rows = np.flatnonzero(bucket == level)
-        B = _basis(at, candidates, np.full(len(candidates), 2.0 ** (level / 2)), blur)
-        edges = B[..., 1:] - B[..., 1:].mean(1, keepdims=True)
-        # Orthonormal columns make the explained variance a sum of squares; the ridge keeps a thin strip's
-        # two nearly equal edges apart from noise.
-        both = np.stack([edges[..., 0] + edges[..., 1], edges[..., 0] - edges[..., 1]], -1)
-        Q = np.linalg.qr(both)[0]
-        energy = (np.einsum("np,cpk->nck", centred[rows], Q) ** 2).sum(-1)
-        left = np.maximum(total[rows, None] - energy, 1e-3 * total[rows, None] + 1e-6)
-        likelihood = -0.5 * INDEPENDENT * len(at) * np.log(left) - 0.5 * (candidates / prior_px) ** 2
+        step, strip = _explained(centred[rows], _strips(at, candidates, 2.0 ** (level / 2), blur))
+        left = np.maximum(total[rows, None] - step**2 - strip**2, 1e-3 * total[rows, None] + 1e-6)
+        likelihood = -0.5 * INDEPENDENT * len(at) * np.log(left) - prior
         best[rows] = candidates[likelihood.argmax(1)]
     return best
 
@@ -143,66 +106,98 @@ def fit_offsets(
     width_px: Float[np.ndarray, " n"],
     blur: float,
     *,
-    window_px: Float[np.ndarray, " n"] | None = None,
     iterations: int = 6,
 ) -> Offsets:
-    """Least-squares offset of each strip (variable projection: tones are linear, the offset is not)."""
-    at, values = profiles.at_px, profiles.values
-    reach = window_px if window_px is not None else 0.5 * width_px + 3.0 * blur + 1.5
-    centre = start_px.copy()
-    weight = _window(at, start_px, reach)
-    information = np.zeros(len(values))
-    for _ in range(iterations):
-        basis = _basis(at, centre, width_px, blur)
-        tones, fit = _tones(basis, values, weight)
-        s = at - centre[:, None]
-        half = 0.5 * width_px[:, None]
-        pdf = (np.exp(-0.5 * ((s + half) / blur) ** 2), np.exp(-0.5 * ((s - half) / blur) ** 2))
-        slope = -(tones[:, 1:2] * pdf[0] + tones[:, 2:3] * pdf[1]) / (blur * np.sqrt(2 * np.pi))
-        # The part of the slope that the tones cannot imitate.
-        free = slope - _tones(basis, slope, weight)[1]
-        information = (weight * free * free).sum(1)
-        step = (weight * free * (values - fit)).sum(1) / np.maximum(information, 1e-9)
-        centre = np.clip(centre + np.clip(step, -0.7, 0.7), start_px - 2.5, start_px + 2.5)
-    tones, fit = _tones(_basis(at, centre, width_px, blur), values, weight)
-    count = weight.sum(1)
-    sse = (weight * (values - fit) ** 2).sum(1)
-    mean = (weight * values).sum(1) / count
-    total = (weight * (values - mean[:, None]) ** 2).sum(1)
-    variance = sse / np.maximum(count * INDEPENDENT - 4.0, 1.0) + 0.02
-    sigma = np.sqrt(variance / np.maximum(information, 1e-9))
-    return Offsets(
-        offset_px=centre,
-        sigma_px=sigma,
-        depth=0.5 * (tones[:, 1] - tones[:, 2]),
-        step=tones[:, 1] + tones[:, 2],
-        # A flat profile, overexposed say, shows no joint.
-        strength=1.0 - (sse + NOISE_FLOOR * count) / (total + NOISE_FLOOR * count),
-        residual=sse / np.maximum(count, 1e-9),
+    """Least-squares offset of each strip (variable projection: tones are linear, the offset is not).
+
+    Only the joint and its shoulders are looked at, from where the fit starts.
+    """
+    reach = 0.5 * width_px + 3.0 * blur + 1.5
+    order = np.argsort(reach, kind="stable")
+    columns = np.empty((5, len(order)))
+    for rows in np.array_split(order, max(1, round(len(order) / BATCH))):
+        if len(rows):
+            columns[:, rows] = _fitted(
+                profiles, rows, start_px[rows], width_px[rows], reach[rows], blur, iterations
+            )
+    return Offsets(*columns)
+
+
+def _fitted(
+    profiles: Profiles,
+    rows: np.ndarray,
+    start: np.ndarray,
+    width: np.ndarray,
+    reach: np.ndarray,
+    blur: float,
+    iterations: int,
+) -> tuple[np.ndarray, ...]:
+    """Offset, its sigma, depth, step and strength of some profiles."""
+    count = len(profiles.at_px)
+    half = min(int(np.ceil((reach.max() + 0.5) / STEP_PX)) + 1, (count - 1) // 2)
+    first = np.clip(
+        np.rint((start - profiles.at_px[0]) / STEP_PX).astype(int) - half, 0, count - 1 - 2 * half
     )
+    index = first[:, None] + np.arange(2 * half + 1)
+    at, values = _single(profiles.at_px)[index], profiles.values[rows[:, None], index]
+    weight = np.clip(_single(reach + 0.5)[:, None] - np.abs(at - _single(start)[:, None]), 0.0, 1.0)
+    strip = _Strip(values, weight, _single(width), blur)
+    centre = start.copy()
+    tones, misfit, slope = strip.fit(at - _single(centre)[:, None])
+    for _ in range(iterations):
+        step = (weight * slope * misfit).sum(1) / np.maximum((weight * slope * slope).sum(1), 1e-9)
+        step = np.clip(np.clip(step, -0.7, 0.7), start - 2.5 - centre, start + 2.5 - centre)
+        if np.abs(step).max() < STILL_PX:
+            break
+        centre += step
+        tones, misfit, slope = strip.fit(at - _single(centre)[:, None])
+    information = (weight * slope * slope).sum(1).astype(float)
+    samples = weight.sum(1).astype(float)
+    sse = (weight * misfit * misfit).sum(1).astype(float)
+    total = (weight * strip.values * strip.values).sum(1)
+    variance = sse / np.maximum(samples * INDEPENDENT - 4.0, 1.0) + NOISE_FLOOR
+    near, far = tones
+    # A flat profile, overexposed say, shows no joint.
+    strength = 1.0 - (sse + NOISE_FLOOR * samples) / (total + NOISE_FLOOR * samples)
+    return centre, np.sqrt(variance / np.maximum(information, 1e-9)), 0.5 * (near - far), near + far, strength
 
 
-def _window(at: np.ndarray, centre: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Weights that leave out what lies beyond the joint and its shoulders."""
-    return np.clip(reach[:, None] + 0.5 - np.abs(at - centre[:, None]), 0.0, 1.0)
+class _Strip:
+    """The strip model on some profiles: tones are the heights of the near and of the far edge."""
 
+    def __init__(self, values: np.ndarray, weight: np.ndarray, width: np.ndarray, blur: float) -> None:
+        self.weight, self.half, self.blur = weight, 0.5 * width[:, None], np.float32(blur)
+        self.samples = weight.sum(1, keepdims=True)
+        self.values = self._centred(values)
 
-def _tones(B: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Linear tones of each profile, and the fit."""
-    near, far = B[..., 1], B[..., 2]
-    columns = (weight, weight * near, weight * far)
-    normal = np.empty((len(values), 3, 3))
-    right = np.empty((len(values), 3, 1))
-    for i, column in enumerate(columns):
-        normal[:, i, 0] = normal[:, 0, i] = column.sum(1)
-        right[:, i, 0] = (column * values).sum(1)
-    normal[:, 1, 1] = (columns[1] * near).sum(1)
-    normal[:, 1, 2] = normal[:, 2, 1] = (columns[1] * far).sum(1)
-    normal[:, 2, 2] = (columns[2] * far).sum(1)
-    # A thin strip's two edges are nearly the same column: a ridge of a thousandth keeps their sum.
-    ridge = 1e-3 * np.trace(normal, axis1=1, axis2=2)[:, None, None] / 3 * np.diag([0.0, 1.0, 1.0])
-    tones = np.linalg.solve(normal + ridge, right)[..., 0]
-    return tones, tones[:, :1] + tones[:, 1:2] * near + tones[:, 2:] * far
+    def _centred(self, columns: np.ndarray) -> np.ndarray:
+        return columns - (self.weight * columns).sum(1, keepdims=True) / self.samples
+
+    def fit(self, s: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
+        """Tones, misfit, and the part of the slope by the offset that the tones cannot imitate, at s."""
+        near, near_bell = _edge((s + self.half) / self.blur)
+        far, far_bell = _edge((s - self.half) / self.blur)
+        # A thin strip's two edges are nearly the same column: a ridge of a thousandth keeps their sum.
+        squares = self.samples[:, 0] + (self.weight * (near * near + far * far)).sum(1)
+        near, far = self._centred(near), self._centred(far)
+        weighted_near, weighted_far = self.weight * near, self.weight * far
+        ridge = 1e-3 / 3 * squares.astype(float)
+        a = (weighted_near * near).sum(1) + ridge
+        b = (weighted_near * far).sum(1).astype(float)
+        c = (weighted_far * far).sum(1) + ridge
+        determinant = a * c - b * b
+
+        def tones_of(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            p, q = (weighted_near * columns).sum(1), (weighted_far * columns).sum(1)
+            return (c * p - b * q) / determinant, (a * q - b * p) / determinant
+
+        def left(columns: np.ndarray, tones: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+            return columns - _single(tones[0])[:, None] * near - _single(tones[1])[:, None] * far
+
+        tones = tones_of(self.values)
+        slope = _single(tones[0])[:, None] * near_bell + _single(tones[1])[:, None] * far_bell
+        slope = self._centred(slope * (np.float32(-1.0 / np.sqrt(2 * np.pi)) / self.blur))
+        return tones, left(self.values, tones), left(slope, tones_of(slope))
 
 
 def strip_support(
@@ -231,12 +226,7 @@ def strip_support(
         centred = values - values.mean(1, keepdims=True)
         # A grey level of noise keeps flat profiles from scoring by chance.
         total = ((centred**2).sum(1) + 0.5 * inside.sum())[:, None]
-        B = _basis(at[inside], candidates, np.full(len(candidates), 2.0 ** (key[0] / 2)), blur)[..., 1:]
-        edges = B - B.mean(1, keepdims=True)
-        both = np.stack([edges[..., 0] + edges[..., 1], edges[..., 0] - edges[..., 1]], -1)
-        orthonormal, upper = np.linalg.qr(both)
-        signed = orthonormal * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :]
-        step, strip = np.moveaxis(np.einsum("np,cpk->nck", centred, signed), -1, 0)
+        step, strip = _explained(centred, _strips(at[inside], candidates, 2.0 ** (key[0] / 2), blur))
         sign = polarity[rows, None]
         lined = np.where(strip * sign > 0, strip**2 / (total - step**2), 0.0)
         support[rows] = np.where(sign == 0, (step**2 + strip**2) / total, lined).max(1)
@@ -248,7 +238,7 @@ def strip_misfit(
 ) -> float:
     """Mean logarithm of the unexplained variance of some stations' profiles, for a joint width and a blur."""
     values = profiles.values[rows]
-    B = _basis(profiles.at_px, offset_px[rows], width_px[rows], blur)
-    _, fit = _tones(B, values, np.ones_like(values))
-    total = ((values - values.mean(1, keepdims=True)) ** 2).sum(1)
-    return float(np.mean(np.log(((values - fit) ** 2).sum(1) / np.maximum(total, 1e-9) + 1e-3)))
+    strip = _Strip(values, np.ones_like(values), _single(width_px[rows]), blur)
+    _, left, _ = strip.fit(_single(profiles.at_px) - _single(offset_px[rows])[:, None])
+    total = (strip.values**2).sum(1)
+    return float(np.mean(np.log((left**2).sum(1) / np.maximum(total, 1e-9) + 1e-3)))

@@ -29,12 +29,14 @@ from autoreg.stations import Grid
 CERTAIN_NATS = 40.0
 # The most starts tried on one plane after its first.
 MOST_STARTS = 6
+# The most places at which joints are measured while a lattice is looked for.
+STATIONS = 700
 # Size of the first look, and its and the second look's numbers of rows on the ground.
 COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
 # Planes whose joints carry less than this are not worth another start, ...
 HOPELESS_NATS = 8.0
-# ... and one with more is tried before all others are looked at closely.
-PROMISING_NATS = 30.0
+# ... and the first one is tried before all others are looked at, if it carries this much.
+PROMISING_NATS = 15.0
 
 
 @dataclass(frozen=True)
@@ -85,13 +87,9 @@ def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:
 
 
 def promising_plane(looks: Looks, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
-    """The hypothesis whose joints are clearest at a glance; None if none is clear."""
-    glances = [_combed(looks.coarse, camera, R) for camera, R in hypotheses]
-    best = max((g for g in glances if g is not None), key=lambda g: g.score, default=None)
-    if best is None or best.score < PROMISING_NATS:
-        return None
-    closer = _combed(looks.fine, best.camera, best.R)
-    return best if closer is None or closer.score < best.score else closer
+    """The first hypothesis, if its joints are clear as it came."""
+    plane = _combed(looks.fine, *hypotheses[0]) if hypotheses else None
+    return plane if plane is not None and plane.score > PROMISING_NATS else None
 
 
 def comb_planes(
@@ -179,7 +177,9 @@ def fit_outwards(
 ) -> Fit | None:
     """The fit that a start grows to, from the camera's feet outwards."""
     camera = plane.camera.scaled(picture.shape[1], picture.shape[0])
-    return refine(picture, camera, cam_from_ground, grid, free=free, search=0.2, reaches=(2.5, 4.0, 7.0))
+    return refine(
+        picture, camera, cam_from_ground, grid, free=free, search=0.2, reaches=(2.5, 4.0, 7.0), limit=STATIONS
+    )
 
 
 def refine_in_field(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np.ndarray, "k 2"]) -> Fit:
@@ -194,5 +194,6 @@ def refine_in_field(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np
         reaches=(9.0, 9.0),
         strip=fit.strip,
         field=field,
+        limit=STATIONS,
     )
     return within or fit

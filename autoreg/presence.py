@@ -17,9 +17,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree
 
 from autoreg.camera import Camera
-from autoreg.edges import sample_profiles, strip_support
+from autoreg.edges import strip_support
 from autoreg.geometry import Rigid
-from autoreg.refine import Fit, Strip
+from autoreg.joint_looks import Strip
+from autoreg.profiles import sample_profiles
+from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, Stations, visible_sides
 
 # The controls lie between these shares of the spacing off the predicted joint. Few sides get many controls

@@ -168,13 +168,10 @@ def line_support(family: Family, edges: np.ndarray) -> tuple[np.ndarray, np.ndar
     piece is judged by itself because in a checker floor the gradient's sign alternates along the line.
     """
     e, m = family.evidence, family.visible
-    zero = np.zeros((e.shape[0], 1), np.float32)
-    sums = np.hstack([zero, np.cumsum(e, 1)])
-    squares = np.hstack([zero, np.cumsum(e * e, 1)])
-    counts = np.hstack([zero, np.cumsum(m, 1, dtype=np.float32)])
-    a, b = edges[:-1], edges[1:]
-    total = np.abs(sums[:, b] - sums[:, a])
-    return total / np.sqrt(squares[:, b] - squares[:, a] + 0.3), counts[:, b] - counts[:, a]
+    number = np.searchsorted(edges, np.arange(e.shape[1]), side="right") - 1
+    piece = (number[:, None] == np.arange(len(edges) - 1)).astype(np.float32)
+    total, squares, counts = np.abs(e @ piece), (e * e) @ piece, m.astype(np.float32) @ piece
+    return total / np.sqrt(squares + 0.3), counts
 
 
 def near_reach(camera: Camera, R: Float[np.ndarray, "3 3"], beyond: float = 2.0) -> float:

@@ -8,15 +8,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from autoreg.camera import Camera
-from autoreg.edges import (
-    STEP_PX,
-    Profiles,
-    fit_offsets,
-    sample_profiles,
-    search_offsets,
-    strip_misfit,
-    strip_support,
-)
+from autoreg.edges import fit_offsets, search_offsets, strip_misfit, strip_support
+from autoreg.profiles import STEP_PX, Profiles, sample_profiles
 from autoreg.stations import ALONG_X, ALONG_Y, Stations
 from autoreg.synthetic import look_at_ground
 
@@ -36,7 +29,7 @@ def strip_values(
 def profiles_of(*values: np.ndarray) -> Profiles:
     n = len(values)
     normal = np.tile([0.0, 1.0], (n, 1))
-    return Profiles(np.stack(values), AT, np.zeros((n, 2)), normal, np.full(n, 100.0))
+    return Profiles(np.stack(values).astype(np.float32), AT, np.zeros((n, 2)), normal, np.full(n, 100.0))
 
 
 def each(value: float, profiles: Profiles) -> np.ndarray:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from paved import CAMERA, STACK, gray_of
 
 from autoreg.ground_frame import with_origin
+from autoreg.joint_looks import Strip
 from autoreg.presence import (
     Presence,
     best_pattern,
@@ -16,7 +17,7 @@ from autoreg.presence import (
     p_llr,
     side_presence,
 )
-from autoreg.refine import Fit, Strip
+from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, inside_convex, slab_sides
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 

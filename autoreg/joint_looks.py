@@ -1,0 +1,162 @@
+"""What the joints of a photo look like: how wide they are, whether dark or light, and how blurred."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.edges import Offsets, fit_offsets, search_offsets, strip_misfit
+from autoreg.profiles import Profiles
+from autoreg.stations import ALONG_X, ALONG_Y, Stations
+
+# Joint widths, in slab sides, and blurs in pixels that are tried where nothing is known of them, ...
+WIDTHS = np.geomspace(0.004, 0.16, 14)
+BLURS = np.array([0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2])
+# ... and the factors that are tried of what is known.
+NEARBY = np.array([0.6, 0.8, 1.0, 1.25, 1.6])
+# Joint width, in slab sides, where tiles meet without a joint.
+NO_JOINT = 0.001
+# A strip has one tone more than a step to fit noise with: what that buys, in mean log variance.
+NO_JOINT_BONUS = 0.05
+# Stations of either family that tell the looks.
+SAMPLE = 120
+
+
+@dataclass(frozen=True)
+class Strip:
+    """What a joint looks like: its width on the ground for either family, and the picture's blur.
+
+    `polarity` is -1 where a family's joints are darker than their slabs, +1 where they are lighter, and 0
+    where they are neither (tiles of two tones that meet without a joint); once known, it is not asked again.
+    """
+
+    width: tuple[float, float]
+    blur_px: float
+    polarity: tuple[int, int] = (0, 0)
+    polarity_known: bool = False
+
+
+def width_px_of(strip: Strip, stations: Stations, profiles: Profiles) -> Float[np.ndarray, " n"]:
+    """Width of each station's joint in pixels."""
+    return np.where(stations.family == ALONG_X, strip.width[0], strip.width[1]) * profiles.px_per_unit
+
+
+def search_joints(
+    profiles: Profiles, stations: Stations, strip: Strip, reach_px: np.ndarray
+) -> Float[np.ndarray, " n"]:
+    """Offset of each joint, to half a pixel, within its own reach."""
+    width = width_px_of(strip, stations, profiles)
+    reach = float(reach_px.max())
+    start = search_offsets(profiles, width, reach, reach / 2.0, strip.blur_px)
+    return np.clip(start, -reach_px, reach_px)
+
+
+def first_look(
+    profiles: Profiles, stations: Stations, strip: Strip, side: np.ndarray, reach_px: np.ndarray
+) -> tuple[np.ndarray, Strip]:
+    """Joint width that explains the profiles best, from a few guesses, and the offsets found with it."""
+    best: tuple[float, np.ndarray, Strip] | None = None
+    for share in (0.006, 0.015, 0.035, 0.08):
+        guess = Strip((share * side[1], share * side[0]), strip.blur_px)
+        start = search_joints(profiles, stations, guess, reach_px)
+        fit = fit_offsets(
+            profiles, start, width_px_of(guess, stations, profiles), guess.blur_px, iterations=2
+        )
+        score = float(np.mean(np.log(np.maximum(1.0 - fit.strength, 1e-3))))
+        if best is None or score < best[0]:
+            best = (score, fit.offset_px, guess)
+    assert best is not None
+    return best[1], best[2]
+
+
+def joint_polarity(
+    profiles: Profiles, stations: Stations, start: np.ndarray, strip: Strip, side: np.ndarray
+) -> tuple[int, int]:
+    """Whether most joints of either family are dark (-1) or light (+1), or neither (0).
+
+    Judged on a sample, with joints of a usual width at least: a strip without width has no tone of its own.
+    """
+    signs: list[int] = []
+    for family in (ALONG_X, ALONG_Y):
+        rows = np.flatnonzero(stations.family == family)
+        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)] if len(rows) else rows
+        across = side[1] if family == ALONG_X else side[0]
+        width_px = np.maximum(max(strip.width[family], 0.015 * across) * profiles.px_per_unit[rows], 1.0)
+        looks = fit_offsets(profiles.take(rows), start[rows], width_px, strip.blur_px, iterations=3)
+        strong = looks.strength > 0.4
+        lined = strong & (np.abs(looks.depth) > 0.5 * np.abs(looks.step))
+        # In a floor of two tones the steps outweigh whatever lies between the tiles.
+        if lined.sum() < max(6, 0.4 * strong.sum()):
+            signs.append(0)
+            continue
+        dark = float(np.mean(looks.depth[lined] < 0))
+        signs.append(-1 if dark > 0.75 else 1 if dark < 0.25 else 0)
+    return signs[0], signs[1]
+
+
+def estimate_strip(
+    profiles: Profiles,
+    offsets: Offsets,
+    stations: Stations,
+    strip: Strip,
+    usable: np.ndarray,
+    side: np.ndarray,
+    *,
+    thorough: bool,
+) -> Strip:
+    """Joint width of either family and blur, by least squares over a sample of the stations.
+
+    Near what is known of them, unless `thorough`.
+    """
+    width, blur = list(strip.width), strip.blur_px
+    samples: list[np.ndarray] = []
+    for family in (ALONG_X, ALONG_Y):
+        rows = np.flatnonzero(usable & (stations.family == family))
+        if len(rows):
+            rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)]
+        samples.append(rows)
+    for _ in range(2 if thorough else 1):
+        for family, rows in enumerate(samples):
+            if len(rows) < 6:
+                continue
+            across = side[1] if family == ALONG_X else side[0]
+            known = not thorough and strip.polarity[family] != 0
+            options = (
+                across * np.clip(width[family] / across * NEARBY, *WIDTHS[[0, -1]])
+                if known
+                else across * WIDTHS
+            )
+            widths_px = [w * profiles.px_per_unit for w in options]
+            costs = [strip_misfit(profiles, rows, offsets.offset_px, w, blur) for w in widths_px]
+            width[family] = _lowest(np.log(options), np.array(costs))
+            if strip.polarity[family] == 0:
+                # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
+                # The two ideas are each given their own offsets before they are compared.
+                ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
+                some = profiles.take(rows)
+                misfits: list[float] = []
+                for idea in ideas:
+                    wide = idea * some.px_per_unit
+                    own = fit_offsets(some, offsets.offset_px[rows], wide, blur, iterations=4)
+                    misfits.append(strip_misfit(some, np.arange(len(rows)), own.offset_px, wide, blur))
+                if misfits[1] < misfits[0] + NO_JOINT_BONUS:
+                    width[family] = NO_JOINT * across
+        rows = np.concatenate(samples)
+        width_px = np.where(stations.family == ALONG_X, width[0], width[1]) * profiles.px_per_unit
+        blurs = BLURS if thorough else np.clip(blur * NEARBY, BLURS[0], BLURS[-1])
+        costs = [strip_misfit(profiles, rows, offsets.offset_px, width_px, float(b)) for b in blurs]
+        blur = _lowest(np.log(blurs), np.array(costs))
+    return replace(strip, width=(width[0], width[1]), blur_px=blur)
+
+
+def _lowest(log_at: np.ndarray, cost: np.ndarray) -> float:
+    """Place of the minimum, by a parabola through the lowest value and its neighbours."""
+    i = int(np.clip(cost.argmin(), 1, len(cost) - 2))
+    (x0, x1, x2), (y0, y1, y2) = log_at[i - 1 : i + 2], cost[i - 1 : i + 2]
+    if cost.argmin() != i:
+        return float(np.exp(log_at[cost.argmin()]))
+    bend = (y2 - y1) / (x2 - x1) - (y1 - y0) / (x1 - x0)
+    slope = (y2 - y0) / (x2 - x0)
+    return float(np.exp(np.clip(x1 - 0.5 * slope * (x2 - x0) / max(bend, 1e-12), x0, x2)))
