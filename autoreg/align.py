@@ -222,8 +222,8 @@ def _concluded(
     camera_height: float | None,
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
-    check = check_camera(fit, picture, field_polygon(settled.presence))
     rested = settle(fit)
+    check = check_camera(fit, picture, field_polygon(settled.presence), rested.scatter)
     # The model of irregular slabs knows the turn better, the plain joints the place: the relief of sunk
     # joints that it allows for is hard to tell from a shift of them all.
     fit = rested.fit if fit.grid.spacing_x is None else recentred(rested.fit)

@@ -143,23 +143,31 @@ def _fitted(
     weight = np.clip(_single(reach + 0.5)[:, None] - np.abs(at - _single(start)[:, None]), 0.0, 1.0)
     strip = _Strip(values, weight, _single(width), blur)
     centre = start.copy()
-    tones, misfit, slope = strip.fit(at - _single(centre)[:, None])
+    strip.at(at - _single(centre)[:, None])
+    slope = strip.slope()
     for _ in range(iterations):
-        step = (weight * slope * misfit).sum(1) / np.maximum((weight * slope * slope).sum(1), 1e-9)
+        weighted = weight * slope
+        step = _dot(weighted, strip.misfit) / np.maximum(_dot(weighted, slope), 1e-9)
         step = np.clip(np.clip(step, -0.7, 0.7), start - 2.5 - centre, start + 2.5 - centre)
         if np.abs(step).max() < STILL_PX:
             break
         centre += step
-        tones, misfit, slope = strip.fit(at - _single(centre)[:, None])
-    information = (weight * slope * slope).sum(1).astype(float)
+        strip.at(at - _single(centre)[:, None])
+        slope = strip.slope()
+    information = _dot(weight * slope, slope).astype(float)
     samples = weight.sum(1).astype(float)
-    sse = (weight * misfit * misfit).sum(1).astype(float)
-    total = (weight * strip.values * strip.values).sum(1)
+    sse = _dot(weight * strip.misfit, strip.misfit).astype(float)
+    total = _dot(weight * strip.values, strip.values)
     variance = sse / np.maximum(samples * INDEPENDENT - 4.0, 1.0) + NOISE_FLOOR
-    near, far = tones
+    near, far = strip.tones
     # A flat profile, overexposed say, shows no joint.
     strength = 1.0 - (sse + NOISE_FLOOR * samples) / (total + NOISE_FLOOR * samples)
     return centre, np.sqrt(variance / np.maximum(information, 1e-9)), 0.5 * (near - far), near + far, strength
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sum of products along each profile."""
+    return np.einsum("np,np->n", a, b)
 
 
 class _Strip:
@@ -171,33 +179,40 @@ class _Strip:
         self.values = self._centred(values)
 
     def _centred(self, columns: np.ndarray) -> np.ndarray:
-        return columns - (self.weight * columns).sum(1, keepdims=True) / self.samples
+        return columns - _dot(self.weight, columns)[:, None] / self.samples
 
-    def fit(self, s: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-        """Tones, misfit, and the part of the slope by the offset that the tones cannot imitate, at s."""
-        near, near_bell = _edge((s + self.half) / self.blur)
-        far, far_bell = _edge((s - self.half) / self.blur)
+    def at(self, s: np.ndarray) -> None:
+        """Take the strip to profile coordinates s, and fit its tones."""
+        near, self.near_bell = _edge((s + self.half) / self.blur)
+        far, self.far_bell = _edge((s - self.half) / self.blur)
         # A thin strip's two edges are nearly the same column: a ridge of a thousandth keeps their sum.
-        squares = self.samples[:, 0] + (self.weight * (near * near + far * far)).sum(1)
-        near, far = self._centred(near), self._centred(far)
-        weighted_near, weighted_far = self.weight * near, self.weight * far
+        squares = self.samples[:, 0] + _dot(self.weight, near * near + far * far)
+        self.near, self.far = self._centred(near), self._centred(far)
+        self.weighted_near, self.weighted_far = self.weight * self.near, self.weight * self.far
         ridge = 1e-3 / 3 * squares.astype(float)
-        a = (weighted_near * near).sum(1) + ridge
-        b = (weighted_near * far).sum(1).astype(float)
-        c = (weighted_far * far).sum(1) + ridge
-        determinant = a * c - b * b
+        a = _dot(self.weighted_near, self.near) + ridge
+        b = _dot(self.weighted_near, self.far).astype(float)
+        c = _dot(self.weighted_far, self.far) + ridge
+        self.inverse = np.stack([c, -b, -b, a]) / (a * c - b * b)
+        self.tones = self._tones(self.values)
+        self.misfit = self._left(self.values, self.tones)
 
-        def tones_of(columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            p, q = (weighted_near * columns).sum(1), (weighted_far * columns).sum(1)
-            return (c * p - b * q) / determinant, (a * q - b * p) / determinant
-
-        def left(columns: np.ndarray, tones: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-            return columns - _single(tones[0])[:, None] * near - _single(tones[1])[:, None] * far
-
-        tones = tones_of(self.values)
-        slope = _single(tones[0])[:, None] * near_bell + _single(tones[1])[:, None] * far_bell
+    def slope(self) -> np.ndarray:
+        """The part of the profiles' slope by the offset that the tones cannot imitate."""
+        slope = (
+            _single(self.tones[0])[:, None] * self.near_bell + _single(self.tones[1])[:, None] * self.far_bell
+        )
         slope = self._centred(slope * (np.float32(-1.0 / np.sqrt(2 * np.pi)) / self.blur))
-        return tones, left(self.values, tones), left(slope, tones_of(slope))
+        return self._left(slope, self._tones(slope))
+
+    def _tones(self, columns: np.ndarray) -> np.ndarray:
+        p, q = _dot(self.weighted_near, columns), _dot(self.weighted_far, columns)
+        return np.stack(
+            [self.inverse[0] * p + self.inverse[1] * q, self.inverse[2] * p + self.inverse[3] * q]
+        )
+
+    def _left(self, columns: np.ndarray, tones: np.ndarray) -> np.ndarray:
+        return columns - _single(tones[0])[:, None] * self.near - _single(tones[1])[:, None] * self.far
 
 
 def strip_support(
@@ -239,6 +254,6 @@ def strip_misfit(
     """Mean logarithm of the unexplained variance of some stations' profiles, for a joint width and a blur."""
     values = profiles.values[rows]
     strip = _Strip(values, np.ones_like(values), _single(width_px[rows]), blur)
-    _, left, _ = strip.fit(_single(profiles.at_px) - _single(offset_px[rows])[:, None])
-    total = (strip.values**2).sum(1)
-    return float(np.mean(np.log((left**2).sum(1) / np.maximum(total, 1e-9) + 1e-3)))
+    strip.at(_single(profiles.at_px) - _single(offset_px[rows])[:, None])
+    left, total = _dot(strip.misfit, strip.misfit), _dot(strip.values, strip.values)
+    return float(np.mean(np.log(left / np.maximum(total, 1e-9) + 1e-3)))

@@ -38,6 +38,8 @@ RATIO_TOLERANCE = 0.08
 RIVAL_NATS = 3.0
 # How much better a finer lattice must explain the sides between the joints.
 SUBDIVIDE_NATS = 6.0
+# Sides that tell it, the largest in the picture.
+SUBDIVIDE_SIDES = 500
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
             a = grid.spacing_x / (factor if family == ALONG_Y else 1)
             b = grid.spacing_y / (factor if family == ALONG_X else 1)
             fine = replace(fit, grid=Grid(a, b, (grid.shift * factor) % 1.0 if grid.shift else 0.0))
-            best = best_pattern(presence_of(picture, fine), family)
+            best = best_pattern(presence_of(picture, fine, limit=SUBDIVIDE_SIDES), family)
             same = (factor, _carry(grid, factor), 0)
             known = next(p for p in best if (p.period, p.advance, p.phase) == same)
             if best[0].score - known.score > SUBDIVIDE_NATS:

@@ -28,6 +28,8 @@ from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, Stations, visible_si
 # each, so that the p-values are fine enough.
 CONTROL_RANGE = (0.25, 0.75)
 CONTROLS_WANTED, CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 1500, 48, 3
+# Samples along each side.
+ALONG_SAMPLES = 10
 # How sharply the p-values of visible sides gather at zero, and shares of true sides that cannot be seen
 # (worn, overgrown, far, covered): the share that suits a photo best is taken.
 SHARPNESS = 0.2
@@ -96,7 +98,7 @@ def side_presence(
         cell=np.tile(sides.cell, repeat),
         side=np.tile(np.arange(n), repeat),
     )
-    profiles = sample_profiles(picture, camera, cam_from_ground, stations, 8.0)
+    profiles = sample_profiles(picture, camera, cam_from_ground, stations, 8.0, along_samples=ALONG_SAMPLES)
     width = np.array(strip.width)[stations.family] * profiles.px_per_unit
     # Between close joints the window must not reach the neighbours.
     room = 0.5 * across[stations.side] * profiles.px_per_unit
@@ -121,9 +123,9 @@ def side_presence(
     return Presence(sides, p, 2.0 * size)
 
 
-def presence_of(picture: Float[np.ndarray, "h w"], fit: Fit) -> Presence:
+def presence_of(picture: Float[np.ndarray, "h w"], fit: Fit, *, limit: int = 1200) -> Presence:
     """How well each visible side of a fit's lattice is supported by the picture of its camera."""
-    return side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+    return side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, limit=limit)
 
 
 def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:

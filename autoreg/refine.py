@@ -215,7 +215,8 @@ def _round(
     offsets, usable, strip = measured
     sigma = np.hypot(offsets.sigma_px, 0.3)
     fit: Fit | None = None
-    for _ in range(SOLVES):
+    # While joints are searched the next round solves again.
+    for _ in range(1 if search else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
         solution = solve_joints(data, free.mask, free.prior(camera))
         if solution.outcome == "diverged":
@@ -308,16 +309,14 @@ def scatter_model(
     r, s, u = np.abs(distances[rows]), sigma_fit[rows], px_per_unit[rows]
     s = np.maximum(s, 0.3 * np.median(s))
     base = float(np.median(r)) * 1.48 + 1e-6
-    best = (np.inf, 1.0, 0.0)
-    for share_s in np.r_[0.0, np.geomspace(0.05, 2.0, 10)] * base / np.median(s):
-        for share_u in np.r_[0.0, np.geomspace(0.05, 2.0, 10)] * base / np.median(u):
-            variance = (share_s * s) ** 2 + (share_u * u) ** 2 + 1e-6
-            # Half the spread is a Cauchy's scale for normal residuals.
-            gamma2 = 0.45 * variance
-            cost = float(np.sum(0.5 * np.log(gamma2) + np.log1p(r * r / gamma2)))
-            if cost < best[0]:
-                best = (cost, share_s, share_u)
-    _, share_s, share_u = best
+    shares = np.r_[0.0, np.geomspace(0.05, 2.0, 10)] * base
+    share_s, share_u = (
+        np.stack(np.meshgrid(shares / np.median(s), shares / np.median(u)), -1).reshape(-1, 2).T
+    )
+    # Half the spread is a Cauchy's scale for normal residuals.
+    gamma2 = 0.45 * (share_s[:, None] ** 2 * s**2 + share_u[:, None] ** 2 * u**2 + 1e-6)
+    best = int((0.5 * np.log(gamma2) + np.log1p(r * r / gamma2)).sum(1).argmin())
+    share_s, share_u = share_s[best], share_u[best]
     per_side = np.bincount(side[usable], minlength=side.max() + 1)[side]
     smooth = np.maximum(sigma_fit, 0.3 * np.median(s))
     return np.sqrt((share_s * smooth) ** 2 + np.maximum(per_side, 1) * (share_u * px_per_unit) ** 2 + 1e-6)

@@ -14,11 +14,11 @@ least squares.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import csr_matrix, diags, hstack, identity
+from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, identity
 from scipy.sparse.linalg import splu
 
 from autoreg.refine import Fit
@@ -29,6 +29,11 @@ from autoreg.stations import ALONG_X, ALONG_Y
 # Sizes of the relief that are weighed against each other, as shares of half the joint's width. It cannot be
 # more than one by geometry, but the width itself is measured on what is left of the joint.
 RELIEFS = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0, 2.0)
+# What is tried in turn: factors of the place's size, and sizes of lift and turn as shares of it.
+WIDE_SEARCHES = (((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5)), ((0.75, 1.3), (), ()))
+NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), ()),)
+# Factors of the likeliest place's size over which the answer is averaged.
+LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
 # Slope across the joint (ground distance over camera height) at which the relief stops growing.
 KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
 # A slab side's place is not known better than this, whatever its profiles say: texture, interpolation, JPEG.
@@ -63,7 +68,7 @@ class Estimate:
 
 
 def estimate_motion(
-    fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior, scatter: Scatter | None = None
+    fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior, near: Scatter | None = None
 ) -> Estimate:
     """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
 
@@ -71,20 +76,16 @@ def estimate_motion(
         fit: a converged fit; its Jacobian tells what the parameters move.
         mask: ones for the free parameters.
         prior: what is known of them, counted from the fit.
-        scatter: the scatter of an earlier estimate of this photo, instead of a search for it.
+        near: the scatter of an earlier estimate of this photo, near which to search instead of everywhere.
     """
     model = _Model(fit, mask, prior)
-    if scatter is None:
-        sizes, relief = _likeliest_sizes(model)
-    else:
-        place = scatter.place
-        sizes, relief = (place, scatter.lift / place, scatter.turn * model.side / place), scatter.relief
+    sizes, relief = _likeliest_sizes(model, near)
     for _ in range(2):
         model.reweigh(sizes, relief)
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
-    for factor in (0.5, 0.65, 0.8, 1.0, 1.25, 1.55, 2.0):
+    for factor in LIKELY:
         model.factor((factor * sizes[0], *sizes[1:]))
-        found += [model.solve(r) for r in RELIEFS]
+        found += model.solve()
     value = np.array([f[0] for f in found])
     weight = np.exp(value - value.max())
     weight /= weight.sum()
@@ -105,18 +106,22 @@ def estimate_motion(
 _Sizes = tuple[float, float, float]
 
 
-def _likeliest_sizes(model: _Model) -> tuple[_Sizes, float]:
-    """Sizes and relief of highest restricted likelihood, starting from the residuals' scatter on the ground.
+def _likeliest_sizes(model: _Model, near: Scatter | None) -> tuple[_Sizes, float]:
+    """Sizes and relief of highest restricted likelihood.
 
-    Coordinate search: each size in turn over a few values, the relief with every one.
+    Coordinate search from an earlier estimate, or from the residuals' scatter on the ground: each size in
+    turn over a few values, the relief with every one.
     """
-    ground = 1.48 * float(np.median(np.abs(model.off) / model.px_per_unit)) + 1e-12
-    best: _Sizes = (ground, 0.33, 0.25)
-    relief = 0.5
+    if near is None:
+        ground = 1.48 * float(np.median(np.abs(model.off) / model.px_per_unit)) + 1e-12
+        best, relief, searches = (ground, 0.33, 0.25), 0.5, WIDE_SEARCHES
+    else:
+        lift, turn = near.lift / near.place, near.turn * model.side / near.place
+        best, relief, searches = (near.place, lift, turn), near.relief, NEAR_SEARCHES
     model.reweigh(best, relief)
-    for _ in range(2):
+    for search in searches:
         score, relief = max((value, r) for r, value in model.evidence(best).items())
-        for axis, options in enumerate(((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5))):
+        for axis, options in enumerate(search):
             centre = best
             for option in options:
                 sizes = list(centre)
@@ -127,6 +132,14 @@ def _likeliest_sizes(model: _Model) -> tuple[_Sizes, float]:
                     score, relief, best = likelihood, likeliest, tried
         model.reweigh(best, relief)
     return best, relief
+
+
+class _Normal(NamedTuple):
+    """Restricted log likelihood, solution and normal matrix, for each size of the relief."""
+
+    value: Float[np.ndarray, " r"]
+    x: Float[np.ndarray, "r k"]
+    H: Float[np.ndarray, "r k k"]
 
 
 class _Model:
@@ -144,68 +157,86 @@ class _Model:
         self.noise = _own_noise(fit, self.rows)
         a, b = fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y
         self.side = float(np.sqrt(a * b))
-        self.place, self.lift, self.turn = _slab_effects(fit, self.rows, a, b)
-        self.turn = self.turn * (1.0 / self.side)
+        effects = _slab_effects(fit, self.rows, a, b, self.side)
+        self.Z: Any = hstack(effects).tocsr()
+        # Which of the three sizes each column of Z is scaled by.
+        self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])
+        self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
         self.relief = _relief_effects(fit, self.rows)
         self.columns = np.c_[J * self.unit, self.relief, self.off]
         self.weight = 1.0 / (1.0 + (self.off / (CAUCHY_SIGMAS * fit.sigma_px[self.rows])) ** 2)
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """The products with the inverse of D that every size needs, for the weights as they are."""
+        self.D = self.noise**2 / self.weight
+        ZD = (self.Z.T @ diags(1.0 / self.D)).tocsr()
+        inner = (ZD @ self.Z + identity(ZD.shape[0])).tocsc()
+        inner.sort_indices()
+        self.indices, self.indptr = inner.indices, inner.indptr
+        self.column = np.repeat(np.arange(inner.shape[1]), np.diff(inner.indptr))
+        self.diagonal = self.indices == self.column
+        self.products = inner.data - self.diagonal
+        self.ZD, self.ZDC = ZD, ZD @ self.columns
+        self.CDC = self.columns.T @ (self.columns / self.D[:, None])
 
     def factor(self, sizes: _Sizes) -> None:
         """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
         place, lift, turn = sizes
-        self.D = self.noise**2 / self.weight
-        parts = [self.place * place]
-        parts += [self.lift * (place * lift)] if lift else []
-        parts += [self.turn * (place * turn)] if turn else []
-        Z: Any = hstack(parts).tocsc()
-        self.variance = self.noise**2 + (Z.multiply(Z) @ np.ones(Z.shape[1]))
-        self.ZD = (Z.T @ diags(1.0 / self.D)).tocsr()
-        inner = (identity(Z.shape[1]) + self.ZD @ Z).tocsc()
+        self.scale = np.array([place, place * lift, place * turn])[self.kind]
+        data = self.products * self.scale[self.indices] * self.scale[self.column] + self.diagonal
+        size = len(self.scale)
+        inner = csc_matrix((data, self.indices, self.indptr), shape=(size, size))
         self.lu: Any = splu(
             inner, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
         self.logdet = float(np.log(self.D * self.weight).sum() + np.log(np.abs(self.lu.U.diagonal())).sum())
-        self.gram = self.columns.T @ self._whitened(self.columns)
+        across = self.scale[:, None] * self.ZDC
+        self.gram = self.CDC - across.T @ self.lu.solve(across)
 
-    def _whitened(self, X: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        scaled = X / self.D[:, None]
-        return scaled - self.ZD.T @ self.lu.solve(np.ascontiguousarray(self.ZD @ X))
+    def _whitened(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """V^-1 x."""
+        return x / self.D - self.ZD.T @ (self.scale * self.lu.solve(self.scale * (self.ZD @ x)))
 
-    def _solve(self, relief: float) -> tuple[float, np.ndarray, np.ndarray]:
+    def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
+        """Normal equations of the motion and the relief's shifts, for each size of the relief."""
         p, k = len(self.free), self.relief.shape[1]
-        scale = np.r_[np.ones(p), np.full(k, relief)]
+        scale = np.concatenate([np.ones((len(reliefs), p)), np.repeat(reliefs[:, None], k, 1)], 1)
         # A direction that nothing tells (along the joints of rows) stays where it is, and unknown.
         little = 1e-10 * np.diag(self.gram)[:p]
         known = np.r_[self.known + little, np.ones(k)]
         mean = np.r_[np.where(self.known > 0, self.prior_mean, 0.0), np.zeros(k)]
-        H = self.gram[:-1, :-1] * np.outer(scale, scale) + np.diag(known)
+        H = self.gram[:-1, :-1] * scale[:, :, None] * scale[:, None, :] + np.diag(known)
         g = self.gram[:-1, -1] * scale - known * mean
-        x = -np.linalg.solve(H, g)
-        left = self.gram[-1, -1] + g @ x + float(known @ mean**2)
+        x = -np.linalg.solve(H, g[..., None])[..., 0]
+        left = self.gram[-1, -1] + (g * x).sum(1) + float(known @ mean**2)
         value = -0.5 * (left + self.logdet + np.linalg.slogdet(H)[1])
-        return float(value), x * scale, np.linalg.inv(H)
+        return _Normal(value, x * scale, H)
 
-    def solve(self, relief: float) -> tuple[float, np.ndarray, np.ndarray]:
-        """Restricted log likelihood, scaled motion and its covariance, at the factorised sizes."""
-        value, x, C = self._solve(relief)
-        p = len(self.free)
-        return value, x[:p], C[:p, :p]
+    def solve(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """Restricted log likelihood, scaled motion and its covariance, for each size of the relief."""
+        normal, p = self._normal(np.array(RELIEFS)), len(self.free)
+        covariance = np.linalg.inv(normal.H)[:, :p, :p]
+        return [(float(v), x[:p], C) for v, x, C in zip(normal.value, normal.x, covariance, strict=True)]
 
     def evidence(self, sizes: _Sizes) -> dict[float, float]:
         """Restricted log likelihood for each size of the relief."""
         self.factor(sizes)
-        return {r: self._solve(r)[0] for r in RELIEFS}
+        return dict(zip(RELIEFS, self._normal(np.array(RELIEFS)).value.tolist(), strict=True))
 
     def reweigh(self, sizes: _Sizes, relief: float) -> None:
         """Cauchy weights from what is left of each station's residual when the slabs have had their share."""
         self.factor(sizes)
-        x = self._solve(relief)[1]
+        x = self._normal(np.array([relief])).x[0]
         left = self.columns @ np.r_[x, 1.0]
-        own = self.D * self._whitened(left[:, None])[:, 0]
+        own = self.D * self._whitened(left)
         # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
-        deviation = np.abs(left) / np.sqrt(self.variance)
+        place, lift, turn = sizes
+        variance = self.noise**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
+        deviation = np.abs(left) / np.sqrt(variance)
         gross = deviation > GROSS_SIGMAS * max(1.48 * float(np.median(deviation)), 1e-6)
         self.weight = np.where(gross, 1e-6, 1.0 / (1.0 + own**2 / (CAUCHY_SIGMAS**2 * self.D * self.weight)))
+        self._weigh()
 
 
 def _own_noise(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, " n"]:
@@ -222,9 +253,9 @@ def _own_noise(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, " n"]:
 
 
 def _slab_effects(
-    fit: Fit, rows: np.ndarray, a: float, b: float
+    fit: Fit, rows: np.ndarray, a: float, b: float, side: float
 ) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
-    """Pixels that each station moves per unit of its two slabs' places, heights and turns."""
+    """Pixels that each station moves per unit of its two slabs' places, heights, and turns times a side."""
     stations, n = fit.stations.take(rows), len(rows)
     k = 0.5 * fit.profiles.px_per_unit[rows]
     along_x = stations.family == ALONG_X
@@ -248,7 +279,7 @@ def _slab_effects(
     return (
         effect(np.tile(k, 2), 2 * slab + axis, 2 * len(names)),
         effect(np.tile(k * slope, 2), slab, len(names)),
-        effect(np.concatenate(lever), slab, len(names)),
+        effect(np.concatenate(lever) / side, slab, len(names)),
     )
 
 

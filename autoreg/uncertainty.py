@@ -90,6 +90,7 @@ def check_camera(
     fit: Fit,
     picture: Float[np.ndarray, "h w"] | None = None,
     field: Float[np.ndarray, "k 2"] | None = None,
+    scatter: Scatter | None = None,
 ) -> CameraCheck:
     """Whether the joints of this photo contradict the camera they were fitted with.
 
@@ -104,27 +105,34 @@ def check_camera(
         fit: the fit with the given camera.
         picture: grey levels, to measure the joints again where the camera is in doubt.
         field: where on the ground the paving is, as for `refine`.
+        scatter: of the slabs, as the fit's pose alone has it.
     """
     free = _free_camera(fit)
-    both = estimate_motion(fit, free.mask, free.prior(fit.camera))
+    both = estimate_motion(fit, free.mask, free.prior(fit.camera), scatter)
     chi_square, shift = _contradiction(fit, fit, both)
     uneven = both.scatter.place > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
     if picture is not None and (uneven or chi_square > DOUBT):
         given, before = fit, both.scatter.place
         for freed in _fits_with_free_camera(given, picture, field):
-            motion = estimate_motion(freed, free.mask, free.prior(freed.camera))
+            motion = estimate_motion(freed, free.mask, free.prior(freed.camera), both.scatter)
             # A free camera that does not make the slabs evener has found nothing better.
             if motion.scatter.place < EVENER * both.scatter.place:
                 chi_square, shift = _contradiction(given, freed, motion)
                 fit, both = freed, motion
             if both.scatter.place < 0.5 * before:
                 break
-    focal_only = Free(ratio=fit.free.ratio, focal=True)
-    alone = estimate_motion(fit, focal_only.mask, focal_only.prior(fit.camera), both.scatter)
-    sigma = float(np.sqrt(alone.covariance[terms.FOCAL, terms.FOCAL]))
-    focal = fit.camera.fx * float(np.exp(alone.parameters[terms.FOCAL]))
+    log_focal, sigma = _focal_alone(both)
+    focal = fit.camera.fx * float(np.exp(log_focal))
     consistent = chi_square < CONTRADICTION
     return CameraCheck(consistent, focal, focal * sigma, float(shift[0]), shift[1:], chi_square)
+
+
+def _focal_alone(both: Estimate) -> tuple[float, float]:
+    """Logarithm of the focal length's change and its sigma, with the principal point where it is."""
+    C, x = both.covariance, both.parameters
+    pull = np.linalg.solve(C[terms.CENTRE, terms.CENTRE], C[terms.CENTRE, terms.FOCAL])
+    variance = C[terms.FOCAL, terms.FOCAL] - pull @ C[terms.CENTRE, terms.FOCAL]
+    return float(x[terms.FOCAL] - pull @ x[terms.CENTRE]), float(np.sqrt(max(variance, 0.0)))
 
 
 def _free_camera(fit: Fit) -> Free:
