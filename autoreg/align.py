@@ -133,12 +133,11 @@ def find_paving(
         Refusal: none explains it better than chance.
     """
     free, hypotheses = _hypotheses(segments, size, camera)
+    first = _at_a_glance(looks, hypotheses, free)
 
     def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
         return pavings if slab is None else suited(looks.picture, pavings, slab) or pavings
 
-    promising = promising_plane(looks, hypotheses)
-    first = None if promising is None else lay_combs(looks, promising, free)
     best = () if first is None else suitable((first,))
     if not best or best[0].margin_nats < CERTAIN_NATS:
         ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
@@ -154,6 +153,12 @@ def find_paving(
     if other is not None:
         raise ambiguous(best[0], other)
     return best[0]
+
+
+def _at_a_glance(looks: Looks, hypotheses: list[Hypothesis], free: Free) -> Paving | None:
+    """The lattice on the likeliest ground, where it is plain to see."""
+    plane = promising_plane(looks, hypotheses)
+    return None if plane is None else lay_combs(looks, plane, free)
 
 
 def _hypotheses(
@@ -271,11 +276,9 @@ def _explained(
     """The refusal, or a better one if the photo's joints fit another camera than the given one."""
     if camera is None:
         return refusal
-    try:
-        other = find_paving(looks, segments, size, None)
-    except Refusal:
-        return refusal
-    if isinstance(other, Rows):
+    free, hypotheses = _hypotheses(segments, size, None)
+    other = _at_a_glance(looks, hypotheses, free)
+    if other is None or other.margin_nats < CERTAIN_NATS:
         return refusal
     focal = other.fit.camera.scaled(camera.width, camera.height).fx
     return camera_contradicted(camera.fx, focal) or refusal

@@ -21,7 +21,7 @@ NO_JOINT = 0.001
 # A strip has one tone more than a step to fit noise with: what that buys, in mean log variance.
 NO_JOINT_BONUS = 0.05
 # Stations of either family that tell the looks.
-SAMPLE = 120
+SAMPLE = 90
 
 
 @dataclass(frozen=True)
@@ -117,42 +117,44 @@ def estimate_strip(
         if len(rows):
             rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)]
         samples.append(rows)
-    for _ in range(2 if thorough else 1):
-        for family, rows in enumerate(samples):
-            if len(rows) < 6:
-                continue
-            across = side[1] if family == ALONG_X else side[0]
-            known = not thorough and strip.polarity[family] != 0
-            options = (
-                across * np.clip(width[family] / across * NEARBY, *WIDTHS[[0, -1]])
-                if known
-                else across * WIDTHS
-            )
-            widths_px = [w * profiles.px_per_unit for w in options]
-            costs = [strip_misfit(profiles, rows, offsets.offset_px, w, blur) for w in widths_px]
-            width[family] = _lowest(np.log(options), np.array(costs))
-            if strip.polarity[family] == 0:
-                # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
-                # The two ideas are each given their own offsets before they are compared.
-                ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
-                some = profiles.take(rows)
-                misfits: list[float] = []
-                for idea in ideas:
-                    wide = idea * some.px_per_unit
-                    own = fit_offsets(some, offsets.offset_px[rows], wide, blur, iterations=4)
-                    misfits.append(strip_misfit(some, np.arange(len(rows)), own.offset_px, wide, blur))
-                if misfits[1] < misfits[0] + NO_JOINT_BONUS:
-                    width[family] = NO_JOINT * across
-        rows = np.concatenate(samples)
-        width_px = np.where(stations.family == ALONG_X, width[0], width[1]) * profiles.px_per_unit
-        blurs = BLURS if thorough else np.clip(blur * NEARBY, BLURS[0], BLURS[-1])
-        costs = [strip_misfit(profiles, rows, offsets.offset_px, width_px, float(b)) for b in blurs]
-        blur = _lowest(np.log(blurs), np.array(costs))
+    for family, rows in enumerate(samples):
+        if len(rows) < 6:
+            continue
+        across = side[1] if family == ALONG_X else side[0]
+        known = not thorough and strip.polarity[family] != 0
+        options = (
+            across * np.clip(width[family] / across * NEARBY, *WIDTHS[[0, -1]]) if known else across * WIDTHS
+        )
+        widths_px = [w * profiles.px_per_unit for w in options]
+        costs = [strip_misfit(profiles, rows, offsets.offset_px, w, blur) for w in widths_px]
+        width[family] = _lowest(np.log(options), np.array(costs))
+        if strip.polarity[family] == 0:
+            # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
+            # The two ideas are each given their own offsets before they are compared.
+            ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
+            some = profiles.take(rows)
+            misfits: list[float] = []
+            for idea in ideas:
+                wide = idea * some.px_per_unit
+                own = fit_offsets(some, offsets.offset_px[rows], wide, blur, iterations=4)
+                misfits.append(strip_misfit(some, np.arange(len(rows)), own.offset_px, wide, blur))
+            if misfits[1] < misfits[0] + NO_JOINT_BONUS:
+                width[family] = NO_JOINT * across
+    rows = np.concatenate(samples)
+    width_px = np.where(stations.family == ALONG_X, width[0], width[1]) * profiles.px_per_unit
+    blurs = BLURS if thorough else np.clip(blur * NEARBY, BLURS[0], BLURS[-1])
+    costs = [strip_misfit(profiles, rows, offsets.offset_px, width_px, float(b)) for b in blurs]
+    blur = _lowest(np.log(blurs), np.array(costs))
     return replace(strip, width=(width[0], width[1]), blur_px=blur)
 
 
 def _lowest(log_at: np.ndarray, cost: np.ndarray) -> float:
     """Place of the minimum, by a parabola through the lowest value and its neighbours."""
+    # Options that were clipped to the same bound are one.
+    log_at, first = np.unique(log_at, return_index=True)
+    cost = cost[first]
+    if len(cost) < 3:
+        return float(np.exp(log_at[cost.argmin()]))
     i = int(np.clip(cost.argmin(), 1, len(cost) - 2))
     (x0, x1, x2), (y0, y1, y2) = log_at[i - 1 : i + 2], cost[i - 1 : i + 2]
     if cost.argmin() != i:

@@ -34,6 +34,8 @@ INDEPENDENT_SIDES = 3.0
 # Logarithm by which the sides' ratio in the photo may differ from the given one: coarse fits, uneven slabs
 # and nominal sizes without the joint stay below it.
 RATIO_TOLERANCE = 0.08
+# A start whose sides carry less, in their best pattern, leads nowhere.
+HOPEFUL_NATS = 3.0
 # A lattice this close to the best one is as good an answer.
 RIVAL_NATS = 3.0
 # How much better a finer lattice must explain the sides between the joints.
@@ -136,6 +138,11 @@ def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
             break
         best = other
     return best
+
+
+def hopeful(presence: Presence) -> bool:
+    """Whether some regular choice of a lattice's sides is there rather than not, in one family at least."""
+    return any(best_pattern(presence, family)[0].score > HOPEFUL_NATS for family in (ALONG_X, ALONG_Y))
 
 
 def presented(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:

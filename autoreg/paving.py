@@ -6,6 +6,7 @@ joints themselves; then the presence of every single slab side tells the bond.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned
 from autoreg.image import pyramid
-from autoreg.lattice_choice import Paving, settle_bond
+from autoreg.lattice_choice import Paving, hopeful, settle_bond
 from autoreg.periods import Comb, best_combs
 from autoreg.presence import field_polygon, presence_of
 from autoreg.rectify import Gradient, near_reach, picture_gradient, rectify
@@ -31,6 +32,10 @@ CERTAIN_NATS = 40.0
 MOST_STARTS = 6
 # The most places at which joints are measured while a lattice is looked for.
 STATIONS = 700
+# Grounds that are looked at a second time.
+SHARPENED = 6
+# Sides that tell whether a start is worth following.
+GLANCE_SIDES = 600
 # Size of the first look, and its and the second look's numbers of rows on the ground.
 COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
 # Planes whose joints carry less than this are not worth another start, ...
@@ -88,32 +93,33 @@ def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:
 
 def promising_plane(looks: Looks, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
     """The first hypothesis, if its joints are clear as it came."""
-    plane = _combed(looks.fine, *hypotheses[0]) if hypotheses else None
+    plane = _combed(looks.fine, *hypotheses[0], local=False) if hypotheses else None
     return plane if plane is not None and plane.score > PROMISING_NATS else None
 
 
 def comb_planes(
     looks: Looks, segments: Segments, hypotheses: list[Hypothesis], *, free_focal: bool
 ) -> list[PlaneCombs]:
-    """The joints of both families on each hypothesised ground, the planes with the clearest joints first.
+    """The joints of both families on the hypothesised grounds, the planes with the clearest joints first.
 
-    Each is looked at as it came and sharpened, finely and coarsely.
+    Those that are clearest as they came are sharpened, and looked at again.
     """
-    planes: list[PlaneCombs] = []
-    for camera, R in hypotheses:
-        versions = ((camera, R), sharpen(segments, camera, R, free_focal=free_focal))
-        tried = [_combed(look, *version) for version in versions for look in (looks.coarse, looks.fine)]
-        seen = [plane for plane in tried if plane is not None]
-        if seen:
-            planes.append(max(seen, key=lambda plane: plane.score))
+    raw = (_combed(looks.fine, *hypothesis) for hypothesis in hypotheses)
+    planes = sorted((plane for plane in raw if plane is not None), key=lambda plane: -plane.score)
+    for k, plane in enumerate(planes[:SHARPENED]):
+        sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
+        again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
+        planes[k] = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
     return sorted(planes, key=lambda plane: -plane.score)
 
 
-def _combed(look: Look, camera: Camera, R: Float[np.ndarray, "3 3"]) -> PlaneCombs | None:
+def _combed(
+    look: Look, camera: Camera, R: Float[np.ndarray, "3 3"], *, local: bool = True
+) -> PlaneCombs | None:
     rectified = rectify(look.gradient, camera.scaled(*look.gradient.size), R, size=look.lines)
     if rectified is None:
         return None
-    return PlaneCombs(camera, R, best_combs(rectified.x), best_combs(rectified.y))
+    return PlaneCombs(camera, R, best_combs(rectified.x, local=local), best_combs(rectified.y, local=local))
 
 
 def lay_combs(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:
@@ -129,51 +135,92 @@ def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ..
     Where both families repeat as whole lines, they are the start. A running bond seen from afar, or one with
     an unusual shift, shows its cross joints only course by course.
     """
-    first = lay_combs(looks, plane, free)
-    found = [] if first is None else [first]
-    if (first is not None and first.margin_nats > CERTAIN_NATS) or plane.score < HOPELESS_NATS:
-        return tuple(found)
-    starts: list[tuple[Rigid, Grid]] = []
+    found: list[Paving] = []
+    tried: list[_Start] = []
+    for start in _starts(looks, plane):
+        if any(start.like(other) for other in tried):
+            continue
+        tried.append(start)
+        laid = _laid(looks, plane, start, free)
+        found += [] if laid is None else [laid]
+        if (laid is not None and laid.margin_nats > CERTAIN_NATS) or len(tried) > MOST_STARTS:
+            break
+    return tuple(sorted(found, key=lambda paving: -paving.margin_nats))
+
+
+def _starts(looks: Looks, plane: PlaneCombs) -> Iterator[_Start]:
+    if plane.x and plane.y:
+        yield _comb_start(plane.R, plane.x[0], plane.y[0])
+    if plane.score < HOPELESS_NATS:
+        return
     for look in (looks.coarse, looks.fine):
         camera = plane.camera.scaled(*look.gradient.size)
         reach = near_reach(camera, plane.R)
         near = rectify(look.gradient, camera, plane.R, reach=reach, size=look.lines)
         if near is None:
             continue
-        starts += [_bond_start(plane.R, bond) for bond in bond_hypotheses(near, keep=2)]
-        pairs = [(b, a) for b in best_combs(near.x, count=2) for a in best_combs(near.y, count=2)]
-        pairs.sort(key=lambda p: -p[0].score - p[1].score)
-        starts += [_comb_start(plane.R, b, a) for b, a in pairs[:2]]
-    for start in starts[:MOST_STARTS]:
-        laid = _laid(looks, plane, start, free)
-        found += [] if laid is None else [laid]
-        if laid is not None and laid.margin_nats > CERTAIN_NATS:
-            break
-    return tuple(sorted(found, key=lambda paving: -paving.margin_nats))
+        yield from (_bond_start(plane.R, bond) for bond in bond_hypotheses(near, keep=2))
+        x, y = (best_combs(family, count=2, local=True) for family in (near.x, near.y))
+        pairs = sorted(((b, a) for b in x for a in y), key=lambda p: -p[0].score - p[1].score)
+        yield from (_comb_start(plane.R, b, a) for b, a in pairs[:2])
 
 
-def _comb_start(R: np.ndarray, b: Comb, a: Comb) -> tuple[Rigid, Grid]:
-    return Rigid(R, R @ np.array([a.phase, b.phase, -1.0])), Grid(a.spacing, b.spacing)
+@dataclass(frozen=True)
+class _Start:
+    """Where a refinement starts; `field` is the part of the ground that is known to be paved, if any."""
+
+    pose: Rigid
+    grid: Grid
+    field: Float[np.ndarray, "4 2"] | None = None
+
+    def like(self, other: _Start) -> bool:
+        """Whether both lead to the same lattice: their axes, spacings and bonds are about the same."""
+        mine, theirs = (np.array([g.spacing_x or 0.0, g.spacing_y]) for g in (self.grid, other.grid))
+        same_axes = abs(float(self.pose.R[:, 0] @ other.pose.R[:, 0])) > 0.7
+        theirs = theirs if same_axes or self.grid.shift or other.grid.shift else theirs[::-1]
+        return bool(
+            np.allclose(mine, theirs, rtol=0.03)
+            and abs(self.grid.shift - other.grid.shift) < 0.03
+            and (self.field is None) == (other.field is None)
+        )
 
 
-def _bond_start(R: np.ndarray, bond: BondHypothesis) -> tuple[Rigid, Grid]:
+def _comb_start(R: np.ndarray, b: Comb, a: Comb) -> _Start:
+    """A start from the comb of the joints along X and that of those along Y."""
+    pose, grid = Rigid(R, R @ np.array([a.phase, b.phase, -1.0])), Grid(a.spacing, b.spacing)
+    low = np.array([max(a.lines[0], b.along[0]), max(b.lines[0], a.along[0])])
+    high = np.array([min(a.lines[1], b.along[1]), min(b.lines[1], a.along[1])])
+    spacing = np.array([a.spacing, b.spacing])
+    if not np.isfinite([low, high]).all() or (high - low < 1.5 * spacing).any():
+        return _Start(pose, grid)
+    (x0, y0), (x1, y1) = low - 0.5 * spacing, high + 0.5 * spacing
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return _Start(pose, grid, corners - [a.phase, b.phase])
+
+
+def _bond_start(R: np.ndarray, bond: BondHypothesis) -> _Start:
     pose = Rigid(R, R @ np.array([bond.origin[0], bond.origin[1], -1.0]))
-    return (turned(pose) if bond.turned else pose), bond.grid
+    return _Start(turned(pose) if bond.turned else pose, bond.grid)
 
 
-def _laid(looks: Looks, plane: PlaneCombs, start: tuple[Rigid, Grid], free: Free) -> Paving | None:
+def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free) -> Paving | None:
     """The lattice that a start leads to, if any."""
-    fit = fit_outwards(looks.picture, plane, *start, free)
+    fit = fit_outwards(looks.picture, plane, start.pose, start.grid, free, start.field)
     if fit is None:
         return None
-    presence = presence_of(looks.picture, fit)
-    if len(presence.p) < 6:
+    presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES)
+    if len(presence.p) < 6 or not hopeful(presence):
         return None
     return settle_bond(looks.picture, refine_in_field(looks.picture, fit, field_polygon(presence)))
 
 
 def fit_outwards(
-    picture: Float[np.ndarray, "h w"], plane: PlaneCombs, cam_from_ground: Rigid, grid: Grid, free: Free
+    picture: Float[np.ndarray, "h w"],
+    plane: PlaneCombs,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    free: Free,
+    field: Float[np.ndarray, "k 2"] | None = None,
 ) -> Fit | None:
     """The fit that a start grows to, from the camera's feet outwards."""
     camera = plane.camera.scaled(picture.shape[1], picture.shape[0])

@@ -8,11 +8,11 @@ nor twice the true spacing can win.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from autoreg.rectify import Family, line_support
 
@@ -23,17 +23,28 @@ SUPPORT_RANGE = 12.0
 # The most that one joint may add, in nats: no single line decides.
 CAP = 3.0
 PHASES = 48
+# Rows that lines must be apart to be told from each other.
+MIN_STEP = 5.0
+# Columns over which a line's support is taken together.
+PIECE = 24
+# Parts of a line's length in which a field of paving may lie.
+WINDOWS = ((0.0, 1.0), (0.0, 0.5), (0.25, 0.75), (0.5, 1.0))
 # Entries of the table in which the support of a place on the ground is looked up.
 TABLE = 8192
 
 
 @dataclass(frozen=True)
 class Comb:
-    """Parallel lines at `phase + k * spacing`, and how much better they explain the support than chance."""
+    """Parallel lines at `phase + k * spacing`, and how much better they explain the support than chance.
+
+    `lines` are the offsets of the first and the last of them, `along` how far they reach.
+    """
 
     spacing: float
     phase: float
     score: float
+    lines: tuple[float, float] = (-np.inf, np.inf)
+    along: tuple[float, float] = (-np.inf, np.inf)
 
 
 def log_likelihood_ratio(z: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -65,8 +76,8 @@ def local_z(
         return z
     values = profile[index]
     centres = np.arange(0, len(values), max(1, len(values) // 24))
-    cuts = [values[max(0, c - window // 2) : c + window // 2 + 1] for c in centres]
-    quantiles = np.array([np.quantile(cut, [0.16, 0.5]) for cut in cuts])
+    low, high = np.maximum(centres - window // 2, 0), np.minimum(centres + window // 2 + 1, len(values))
+    quantiles = np.array([_lower_quantiles(values[a:b]) for a, b in zip(low, high, strict=True)])
     at = np.arange(len(values))
     median = np.interp(at, centres, quantiles[:, 1])
     spread = np.interp(at, centres, np.maximum(quantiles[:, 1] - quantiles[:, 0], 1e-3))
@@ -74,15 +85,80 @@ def local_z(
     return z
 
 
-def line_z(family: Family, piece: int = 24) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Robust z-score of the support of each whole line, and where it is known."""
-    edges = np.arange(0, family.evidence.shape[1], piece)
+def _lower_quantiles(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """The 16 % quantile and the median, to the nearest value below."""
+    at = int(0.16 * (len(values) - 1)), int(0.5 * (len(values) - 1))
+    ordered = np.partition(values, at)
+    return float(ordered[at[0]]), float(ordered[at[1]])
+
+
+def line_z(
+    family: Family, window: tuple[float, float] = (0.0, 1.0)
+) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Robust z-score of the support of each line over a window of its length, and where it is known."""
+    edges = np.arange(0, family.evidence.shape[1], PIECE)
     support, seen = line_support(family, edges)
-    counted = seen > 0.6 * piece
+    return _window_z(support, seen > 0.6 * PIECE, window)
+
+
+def _window_z(
+    support: Float[np.ndarray, "n p"], counted: Bool[np.ndarray, "n p"], window: tuple[float, float]
+) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    first, last = (round(share * support.shape[1]) for share in window)
+    support, counted = support[:, first:last], counted[:, first:last]
     pieces = counted.sum(1)
     profile = (support * counted).sum(1) / np.maximum(pieces, 1)
     valid = pieces >= 3
     return local_z(profile, valid, max(40, len(profile) // 5)), valid
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """The lines of combs: those of spacing s are `count[s]` rows from `start[s]`, a column is a phase.
+
+    `index` is each line's place in a table that is finer than the rows, so that no row need be searched for.
+    """
+
+    spacing: Float[np.ndarray, " s"]
+    start: Int32[np.ndarray, " s"]
+    count: Int32[np.ndarray, " s"]
+    first: Int32[np.ndarray, " s"]
+    index: Int32[np.ndarray, "lines phases"]
+    outside: Bool[np.ndarray, "lines phases"]
+    row: Int[np.ndarray, " t"]
+    step: Float[np.ndarray, " t"]
+
+    def gain(
+        self, llr: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]
+    ) -> tuple[Float32[np.ndarray, "lines phases"], Bool[np.ndarray, "lines phases"]]:
+        """Log likelihood ratio of each line, and whether it is seen and can be told from the next one."""
+        known = valid[self.row]
+        value = np.where(known, llr[self.row], 0.0).astype(np.float32)
+        finest = np.where(known, MIN_STEP * self.step, np.inf).astype(np.float32)
+        spacing = np.repeat(self.spacing, self.count).astype(np.float32)[:, None]
+        told = (finest[self.index] <= spacing) & ~self.outside
+        return value[self.index] * told, told
+
+    def of(self, s: int) -> slice:
+        """The rows of one spacing."""
+        return slice(int(self.start[s]), int(self.start[s] + self.count[s]))
+
+
+def _predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray, " s"]) -> _Lines:
+    """All lines of every spacing and phase between the first and the last offset."""
+    low, high = float(offset[0]), float(offset[-1])
+    row = np.rint(np.interp(np.linspace(low, high, TABLE), offset, np.arange(len(offset)))).astype(int)
+    first = np.floor(low / spacings).astype(np.int32)
+    count = np.floor(high / spacings).astype(np.int32) + 1 - first
+    start = (np.cumsum(count) - count).astype(np.int32)
+    line = np.arange(count.sum(), dtype=np.int32) - np.repeat(start - first, count)
+    scale = (TABLE - 1) / (high - low)
+    spacing = np.repeat(spacings * scale, count).astype(np.float32)[:, None]
+    phase = np.arange(PHASES, dtype=np.float32) / PHASES
+    index = np.rint((line[:, None] + phase) * spacing - np.float32(low * scale)).astype(np.int32)
+    outside = (index < 0) | (index >= TABLE)
+    index[outside] = 0
+    return _Lines(spacings, start, count, first, index, outside, row, np.gradient(offset)[row])
 
 
 def comb_scores(
@@ -92,45 +168,79 @@ def comb_scores(
     spacings: Float[np.ndarray, " s"],
     *,
     min_lines: int = 2,
-    min_step: float = 5.0,
 ) -> Float[np.ndarray, "s phases"]:
-    """Sum of the log likelihood ratios of every predicted line, for each spacing and phase.
+    """Sum of the log likelihood ratios of every predicted line, for each spacing and phase."""
+    lines = _predicted_lines(offset, spacings)
+    return _whole_scores(lines, *lines.gain(llr, valid), min_lines)
 
-    Lines that lie closer than `min_step` rows to the next one are not counted: they cannot be told apart.
+
+def _whole_scores(lines: _Lines, gain: np.ndarray, told: np.ndarray, min_lines: int = 2) -> np.ndarray:
+    total = np.add.reduceat(gain, lines.start, axis=0)
+    count = np.add.reduceat(told.astype(np.float32), lines.start, axis=0)
+    return np.where(count >= min_lines, total, -np.inf).astype(float)
+
+
+def _run_scores(lines: _Lines, gain: Float32[np.ndarray, "lines phases"]) -> Float32[np.ndarray, "s phases"]:
+    """The largest sum over successive lines, for each spacing and phase (Kadane's algorithm).
+
+    Paving may end before the picture does.
     """
-    low, high = float(offset[0]), float(offset[-1])
-    # The table is finer than the rows, so that a place is looked up without searching for its row.
-    at = np.linspace(low, high, TABLE)
-    row = np.rint(np.interp(at, offset, np.arange(len(offset)))).astype(int)
-    known = valid[row]
-    gain = np.where(known, llr[row], 0.0)
-    finest = np.where(known, min_step * np.gradient(offset)[row], np.inf)
-    # Place p of a spacing is p / PHASES of it: line p // PHASES of phase p % PHASES.
-    first = np.ceil(low / spacings * PHASES).astype(int)
-    count = np.floor(high / spacings * PHASES).astype(int) + 1 - first
-    which = np.repeat(np.arange(len(spacings)), count)
-    place = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count - first, count)
-    spacing = spacings[which]
-    index = np.rint((place * (spacing / PHASES) - low) * ((TABLE - 1) / (high - low))).astype(int)
-    index = np.clip(index, 0, TABLE - 1)
-    told = finest[index] <= spacing
-    cell = which * PHASES + place % PHASES
-    size = len(spacings) * PHASES
-    total = np.bincount(cell, gain[index] * told, size)
-    lines = np.bincount(cell, told, size)
-    return np.where(lines >= min_lines, total, -np.inf).reshape(-1, PHASES)
+    order = np.argsort(-lines.count, kind="stable")
+    start, count = lines.start[order], lines.count[order]
+    running = np.zeros((len(start), PHASES), np.float32)
+    best = np.zeros_like(running)
+    for k in range(int(count[0])):
+        active = int(np.searchsorted(-count, -k))
+        running[:active] = np.maximum(running[:active] + gain[start[:active] + k], 0.0)
+        np.maximum(best[:active], running[:active], out=best[:active])
+    scores = np.empty_like(best)
+    scores[order] = best
+    return scores
 
 
-def best_combs(family: Family, *, count: int = 4) -> tuple[Comb, ...]:
-    """The best spacings of the lines of a family, best first; empty if chance explains them all."""
-    z, valid = line_z(family)
+def _best_run(gain: Float32[np.ndarray, " n"]) -> tuple[int, int]:
+    """First and last of the successive lines with the largest sum."""
+    sums = np.r_[0.0, np.cumsum(gain)]
+    low = np.minimum.accumulate(sums)
+    last = int((sums - low).argmax())
+    return int(sums[: last + 1].argmin()), max(last - 1, 0)
+
+
+def best_combs(family: Family, *, count: int = 4, local: bool = False) -> tuple[Comb, ...]:
+    """The best spacings of the lines of a family, best first; empty if chance explains them all.
+
+    With `local`, lines that are there in a part of the ground only are found as well, at the price of the
+    part's choice.
+    """
+    edges = np.arange(0, family.evidence.shape[1], PIECE)
+    support, seen = line_support(family, edges)
+    counted = seen > 0.6 * PIECE
+    z, valid = _window_z(support, counted, WINDOWS[0])
     if valid.sum() < 20:
         return ()
-    offset = family.offset
-    llr = blurred(log_likelihood_ratio(z))
+    spacings = _spacings(family.offset, valid)
+    lines = _predicted_lines(family.offset, spacings)
+    gain, told = lines.gain(blurred(log_likelihood_ratio(z)), valid)
+    found = list(distinct(spacings, _whole_scores(lines, gain, told), count))
+    for window in WINDOWS if local else ():
+        z, valid = _window_z(support, counted, window)
+        if valid.sum() < 20:
+            continue
+        gain, _ = lines.gain(blurred(log_likelihood_ratio(z)), valid)
+        cost = np.log(len(WINDOWS)) + np.log(lines.count)[:, None]
+        ends = np.array(window) * (len(family.along) - 1)
+        along = tuple(np.interp(ends, np.arange(len(family.along)), family.along).tolist())
+        for comb in distinct(spacings, _run_scores(lines, gain) - cost, count):
+            s = int(np.abs(spacings - comb.spacing).argmin())
+            run = _best_run(gain[lines.of(s), round(comb.phase / comb.spacing * PHASES)])
+            low, high = ((int(lines.first[s]) + k) * comb.spacing + comb.phase for k in run)
+            found.append(replace(comb, lines=(low, high), along=along))
+    return tuple(sorted(found, key=lambda comb: -comb.score)[:count])
+
+
+def _spacings(offset: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " s"]:
     span = float(np.ptp(offset[valid]))
-    spacings = np.geomspace(max(5.0 * float(np.diff(offset).min()), span / 150.0), span / 1.5, 400)
-    return distinct(spacings, comb_scores(llr, valid, offset, spacings), count)
+    return np.geomspace(max(5.0 * float(np.diff(offset).min()), span / 150.0), span / 1.5, 400)
 
 
 def distinct(spacings: np.ndarray, scores: np.ndarray, count: int, apart: float = 0.025) -> tuple[Comb, ...]:

@@ -26,6 +26,8 @@ from autoreg.stations import (
 
 # Solves per round, each with the scatter that the one before left.
 SOLVES = 2
+# A slab's side is at least this part of the camera's height, and at most as many times it.
+MOST_SIDES = 200.0
 # Joints that tell the scatter.
 SCATTER_SAMPLE = 500
 
@@ -219,14 +221,15 @@ def _round(
     for _ in range(1 if search else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
         solution = solve_joints(data, free.mask, free.prior(camera))
-        if solution.outcome == "diverged":
+        moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
+        if solution.outcome == "diverged" or not _plausible(moved, new_grid):
             return fit
         distances = solution.distances_px
         sigma = scatter_model(distances, offsets.sigma_px, profiles.px_per_unit, stations.side, usable)
         fit = Fit(
             camera=moved_camera(camera, solution),
-            cam_from_ground=moved_pose(pose, solution),
-            grid=stretched(grid, solution),
+            cam_from_ground=moved,
+            grid=new_grid,
             strip=strip,
             stations=stations,
             profiles=profiles,
@@ -238,6 +241,13 @@ def _round(
             free=free,
         )
     return fit
+
+
+def _plausible(pose: Rigid, grid: Grid) -> bool:
+    """Whether a lattice may be one of slabs: a solve with nothing to hold it can run away."""
+    height = float(pose.origin_in_a[2])
+    sides = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y]) / height
+    return bool(height > 0 and (sides > 1.0 / MOST_SIDES).all() and (sides < MOST_SIDES).all())
 
 
 def _measured(
