@@ -16,7 +16,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned, with_origin
 from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving, line_evidence
 from autoreg.paving import PlaneCombs, fit_outwards, refine_in_field
-from autoreg.presence import Presence, best_pattern, broken, field_polygon, presence_of
+from autoreg.presence import Presence, best_pattern, field_polygon, presence_of
 from autoreg.refine import Fit, Free
 from autoreg.segments import Segments
 from autoreg.stations import ALONG_X, Grid
@@ -29,8 +29,10 @@ STEP_SIGMA = 0.004
 # Combs with less are not looked into.
 WORTH_NATS = 6.0
 FEWEST_LINES = 6
-# Mean p-value of the sides of a line that is not there, and the share of lines that may be missing.
-ABSENT_P, MOST_MISSING = 0.3, 0.1
+# Mean p-values of joints that are absent and of those that are there, and how many lines may be missing.
+ABSENT_P, SEEN_P, MOST_MISSING = 0.3, 0.1, 0.1
+# Half slabs from one gap of a joint to the next, in herringbone of slabs of two and of three squares.
+GAP_PERIODS = (4, 6, 8, 12)
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) 
 def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int, int]) -> Rows | None:
     """The rows of a fit, if its joints are unbroken and even and cross joints lie between them."""
     presence = presence_of(picture, fit)
-    if len(presence.p) < 6 or broken(presence, ALONG_X):
+    if len(presence.p) < 6 or _interrupted(picture, fit):
         return None
     cross = find_cross_joints(segments, fit, field_polygon(presence), size)
     if len(cross.middle) == 0 or not _evenly_spaced(presence):
@@ -107,6 +109,29 @@ def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int,
     spacing = fit.grid.spacing_y
     on_joint = np.array([crossing[0], round(crossing[1] / spacing) * spacing])
     return Rows(Paving(fit, presence, (x, cross.evidence_nats)), on_joint)
+
+
+def _interrupted(picture: Float[np.ndarray, "h w"], fit: Fit) -> bool:
+    """Whether the joints break off at regular intervals, as those of herringbone do.
+
+    Where along a joint the slabs begin is not known, so that pieces of half a slab are looked at: one of a
+    gap's pieces at least is wholly without a joint. The gaps advance evenly from joint to joint.
+    """
+    across = fit.grid.spacing_y
+    halves = presence_of(picture, replace(fit, grid=Grid(across / 2.0, across)))
+    rows = np.flatnonzero(halves.sides.family == ALONG_X)
+    line, p = halves.sides.line[rows], halves.p[rows]
+    piece = np.round(halves.sides.ends[rows].mean(1)[:, 0] / (across / 2.0) - 0.5).astype(int)
+    if len(rows) == 0 or np.median(p) > SEEN_P:
+        return False
+    for period in GAP_PERIODS:
+        for advance in range(period):
+            residue = (piece - line * advance) % period
+            count = np.bincount(residue, minlength=period)
+            mean = np.bincount(residue, weights=p, minlength=period) / np.maximum(count, 1)
+            if mean[count >= 6].max(initial=0.0) > ABSENT_P and np.median(mean) < SEEN_P:
+                return True
+    return False
 
 
 def _evenly_spaced(presence: Presence) -> bool:
