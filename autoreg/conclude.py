@@ -14,7 +14,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground_frame import quarter_turns
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.lattice_choice import has_ratio
-from autoreg.presence import PRESENT, Presence, field_polygon
+from autoreg.presence import Presence, field_polygon
 from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
 
@@ -68,7 +68,7 @@ def canonical_frame(fit: Fit, presence: Presence, crossing: Float[np.ndarray, "2
     turns = max(free, key=lambda q: round(float(np.dot(ahead, y_axes[q])), 9))
     if crossing is not None:
         return Frame(turns, crossing)
-    here = presence.sides.ends[presence.p < PRESENT].reshape(-1, 2)
+    here = presence.sides.ends[presence.there].reshape(-1, 2)
     px = project_ground(fit.camera, fit.cam_from_ground, here).mean(0)
     ray = fit.camera.unproject(px[None])[0] @ R
     eye = fit.cam_from_ground.origin_in_a

@@ -14,7 +14,10 @@ from autoreg.segments import Segments
 
 # A camera is not rolled further than this, unless it looks down so steeply that roll means nothing.
 MAX_ROLL_RAD = np.radians(50.0)
-STEEP_RAD = np.radians(25.0)
+STEEP_RAD = np.radians(42.0)
+# Beyond this a plane seen steeply is taken for a wall if it is turned about a joint direction that is plumb
+# in the picture: a camera held level shows walls so.
+FRONTAL_RAD, PLUMB_RAD = np.radians(25.0), np.radians(2.5)
 # The longest so many segments find the candidates; all of them score the survivors.
 VOTERS = 350
 # Candidates looked at for repetitions, and candidates fitted; a longer list asked for finds no more.
@@ -158,7 +161,11 @@ def _possible_up(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
 
 
 def _possible(R: Float[np.ndarray, "k 3 3"]) -> Bool[np.ndarray, " k"]:
-    return _possible_up(R[:, :, 2])
+    up, joints = R[:, :, 2], R[:, :, :2]
+    plumb = (np.abs(joints[:, 1]).max(1) > 0.7) & (np.abs(joints[:, 0]).min(1) < np.sin(PLUMB_RAD))
+    sideways = np.abs(up[:, 0]) > np.abs(up[:, 1])
+    wall = (np.abs(up[:, 2]) < np.cos(FRONTAL_RAD)) & sideways & plumb
+    return _possible_up(up) & ~wall
 
 
 def _canonical(R: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3 3"]:

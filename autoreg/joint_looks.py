@@ -18,6 +18,8 @@ BLURS = np.array([0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2])
 NEARBY = np.array([0.6, 0.8, 1.0, 1.25, 1.6])
 # Joint width, in slab sides, where tiles meet without a joint.
 NO_JOINT = 0.001
+# Joints that are neither dark nor light are not wider than this.
+MOST_NEUTRAL = 0.05
 # A strip has one tone more than a step to fit noise with: what that buys, in mean log variance.
 NO_JOINT_BONUS = 0.05
 # Stations of either family that tell the looks.
@@ -125,6 +127,9 @@ def estimate_strip(
         options = (
             across * np.clip(width[family] / across * NEARBY, *WIDTHS[[0, -1]]) if known else across * WIDTHS
         )
+        if strip.polarity[family] == 0:
+            # Between tones that only step up and down, a wide strip fits whatever else is near.
+            options = options[options < MOST_NEUTRAL * across]
         widths_px = [w * profiles.px_per_unit for w in options]
         costs = [strip_misfit(profiles, rows, offsets.offset_px, w, blur) for w in widths_px]
         width[family] = _lowest(np.log(options), np.array(costs))

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree
@@ -39,8 +39,12 @@ SIZE_BINS, BIN_AT_LEAST = 4, 25
 # The paved field may end before the picture does: these shares of the sides, the nearest first, are tried, at
 # the price of the choice.
 FIELD_SHARES = (0.12, 0.2, 0.33, 0.5, 0.7, 1.0)
-# Sides whose p-value is below this are there; in a field, more than this share of them.
-PRESENT, FIELD_DENSITY = 0.2, 0.45
+# Sides whose p-value is below this are there, if no more of their own controls than the second have as much
+# support; in a field, more than the third share of them.
+PRESENT, BEATEN, FIELD_DENSITY = 0.2, 0.12, 0.45
+# ... and more than these parts of what is usual in it, inside and at its rim. Neighbours lie within so many
+# lengths of a side, and those that meet it within the last.
+CORE_DENSITY, RIM_DENSITY, NEIGHBOURS, RIM = 0.75, 0.55, 1.6, 0.8
 # Mean p-values of a class of sides that is absent, and of one that is there.
 BROKEN_P, PRESENT_P = 0.35, 0.15
 FIELD_COST = float(np.log(len(FIELD_SHARES)))
@@ -50,11 +54,21 @@ DEPARTURE_NATS = 3.0
 
 @dataclass(frozen=True)
 class Presence:
-    """Support of each side: `p` its p-value among the controls, `size_px` its length in the picture."""
+    """Support of each side: `p` its p-value among all controls, `size_px` its length in the picture.
+
+    `beaten` is the share of its own controls that have as much support. In clutter beside smooth slabs any
+    place has more than most controls, but no more than its own.
+    """
 
     sides: Sides
     p: Float[np.ndarray, " n"]
     size_px: Float[np.ndarray, " n"]
+    beaten: Float[np.ndarray, " n"]
+
+    @property
+    def there(self) -> Bool[np.ndarray, " n"]:
+        """Sides that are there, as far as one side by itself can tell."""
+        return (self.p < PRESENT) & (self.beaten < BEATEN)
 
     def llr(self, rows: np.ndarray) -> Float[np.ndarray, " k"]:
         """Log likelihood ratios in nats of sides being there, for the share of missed ones that suits."""
@@ -65,7 +79,7 @@ class Presence:
         """The given share of the sides, the largest in the picture first."""
         count = max(1, round(share * len(self.p)))
         rows = np.sort(np.argsort(-self.size_px, kind="stable")[:count])
-        return Presence(self.sides.take(rows), self.p[rows], self.size_px[rows])
+        return Presence(self.sides.take(rows), self.p[rows], self.size_px[rows], self.beaten[rows])
 
 
 def side_presence(
@@ -83,7 +97,7 @@ def side_presence(
     sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit)
     n = len(sides)
     if n == 0:
-        return Presence(sides, np.zeros(0), np.zeros(0))
+        return Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0))
     across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
     middle, half = sides.ends.mean(1), 0.4 * np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1)
@@ -120,7 +134,8 @@ def side_presence(
             beside = np.sort(support[1:, rows].ravel())
             above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
             p[rows] = (1 + above) / (1 + len(beside))
-    return Presence(sides, p, 2.0 * size)
+    beaten = (support[1:] >= support[0]).mean(0)
+    return Presence(sides, p, 2.0 * size, beaten)
 
 
 def presence_of(picture: Float[np.ndarray, "h w"], fit: Fit, *, limit: int = 1200) -> Presence:
@@ -211,18 +226,25 @@ def field_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:
     if len(presence.p) == 0:
         raise ValueError("presence: no sides to span a field")
     middle = presence.sides.ends.mean(1)
-    there = presence.p < PRESENT
+    there = presence.there
     length = float(np.median(np.linalg.norm(presence.sides.ends[:, 1] - presence.sides.ends[:, 0], axis=1)))
-    pairs = KDTree(middle).query_pairs(1.6 * length, output_type="ndarray")
-    both = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(len(middle)), 2).reshape(-1, 2)])
-    share = np.bincount(both[:, 0], weights=there[both[:, 1]]) / np.bincount(both[:, 0])
-    member = there & (share > FIELD_DENSITY)
-    linked = both[member[both[:, 0]] & member[both[:, 1]]]
     n = len(middle)
+    pairs = KDTree(middle).query_pairs(NEIGHBOURS * length, output_type="ndarray")
+    both = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n), 2).reshape(-1, 2)])
+    share = np.bincount(both[:, 0], weights=there[both[:, 1]]) / np.bincount(both[:, 0])
+    # What lies beside a field in which all sides are there must not be counted to it for a few chance hits.
+    usual = float(np.quantile(share[there], 0.75)) if there.any() else 0.0
+    core = there & (share > max(FIELD_DENSITY, CORE_DENSITY * usual))
+    linked = both[core[both[:, 0]] & core[both[:, 1]]]
     graph = coo_array((np.ones(len(linked)), (linked[:, 0], linked[:, 1])), shape=(n, n))
     label = connected_components(graph, directed=False)[1]
-    counts = np.bincount(label, weights=member)
-    field = member & (label == counts.argmax())
+    counts = np.bincount(label, weights=core)
+    field = core & (label == counts.argmax())
+    # Sides at the rim have half of their neighbours outside: those next to the core belong to the field.
+    rim = there & (share > max(FIELD_DENSITY, RIM_DENSITY * usual))
+    near = both[field[both[:, 0]] & rim[both[:, 1]]]
+    near = near[np.linalg.norm(middle[near[:, 0]] - middle[near[:, 1]], axis=1) < RIM * length]
+    field[near[:, 1]] = True
     if field.sum() < 4:
         field = np.ones(n, dtype=bool)
     # Slightly widened, so that the sides of a single line span an area too.

@@ -29,7 +29,7 @@ def made_presence(there: np.ndarray) -> Presence:
     rng = np.random.default_rng(0)
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
     p = np.where(there, rng.beta(0.2, 2.0, len(sides)), rng.uniform(size=len(sides)))
-    return Presence(sides, np.maximum(p, 1e-3), np.full(len(sides), 20.0))
+    return Presence(sides, np.maximum(p, 1e-3), np.full(len(sides), 20.0), np.zeros(len(sides)))
 
 
 def presence_of(photo: SyntheticPhoto, grid: Grid, strip: Strip = DARK) -> Presence:
@@ -134,7 +134,7 @@ def test_a_lone_side_far_off_does_not_stretch_the_field():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
     middle = sides.ends.mean(1)
     paved = (middle < 4.01).all(1)
-    presence = Presence(sides, np.where(paved, 0.01, 0.9), np.full(len(sides), 20.0))
+    presence = Presence(sides, np.where(paved, 0.01, 0.9), np.full(len(sides), 20.0), np.zeros(len(sides)))
     p = presence.p.copy()
     p[np.linalg.norm(middle, axis=1).argmax()] = 0.01
     assert field_polygon(replace(presence, p=p)) == pytest.approx(field_polygon(presence))
@@ -143,7 +143,7 @@ def test_a_lone_side_far_off_does_not_stretch_the_field():
 def test_no_sides_span_no_field():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 3.0)).take(np.zeros(0, int))
     with pytest.raises(ValueError, match="no sides"):
-        field_polygon(Presence(sides, np.zeros(0), np.zeros(0)))
+        field_polygon(Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0)))
 
 
 def test_the_origin_moves_on_the_ground_and_the_camera_stays(stack_fit: Fit):
