@@ -1,0 +1,49 @@
+"""Mesh files (OBJ, PLY, and what else trimesh reads) as triangles."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import trimesh
+
+from autoreg.rendering.surface import Surface, flat_normals
+
+_MOST_TRIANGLES = 2_000_000
+
+
+def read_mesh(path: Path, up: Literal["y", "z"] = "z") -> Surface:
+    """The triangles of a mesh file, Z up.
+
+    Normals come from the file where it has them, so that what was modelled round looks round; else each
+    triangle is flat.
+
+    Args:
+        path: the file.
+        up: its vertical axis; modelling programs differ.
+
+    Raises:
+        ValueError: it cannot be read, or holds no triangles.
+    """
+    if not path.is_file():
+        raise ValueError(f"mesh {path} does not exist")
+    try:
+        # Unmerged and unprocessed, because merging would drop the file's normals.
+        loaded = trimesh.load_mesh(path, process=False)
+        mesh = loaded.to_mesh() if isinstance(loaded, trimesh.Scene) else loaded
+        corners = np.asarray(mesh.vertices[mesh.faces], float)
+    except Exception as error:
+        # Each of trimesh's readers fails in its own way.
+        raise ValueError(f"mesh {path} cannot be read ({error}); save it as OBJ or PLY") from error
+    if not len(corners) or not np.isfinite(corners).all():
+        raise ValueError(f"mesh {path} holds no triangles with finite corners")
+    if len(corners) > _MOST_TRIANGLES:
+        raise ValueError(f"mesh {path} has {len(corners)} triangles, more than {_MOST_TRIANGLES}; reduce it")
+    given = "vertex_normals" in mesh._cache or mesh.metadata.get("normals") is not None
+    normals = np.asarray(mesh.vertex_normals[mesh.faces], float) if given else flat_normals(corners)
+    uv = getattr(mesh.visual, "uv", None)
+    uv = np.asarray(uv, float)[mesh.faces] if uv is not None and len(uv) == len(mesh.vertices) else None
+    if up == "y":
+        corners, normals = (np.stack([p[..., 0], -p[..., 2], p[..., 1]], -1) for p in (corners, normals))
+    return Surface(corners, normals, uv)
