@@ -104,7 +104,10 @@ def _sampled(
     known = np.isfinite(at).all(-1)
     x = np.clip(np.where(known, at[..., 0], 0.0), 0.0, width - 1.0)
     y = np.clip(np.where(known, at[..., 1], 0.0), 0.0, height - 1.0)
-    x0, y0 = np.minimum(x.astype(np.int64), max(width - 2, 0)), np.minimum(y.astype(np.int64), max(height - 2, 0))
+    x0, y0 = (
+        np.minimum(x.astype(np.int64), max(width - 2, 0)),
+        np.minimum(y.astype(np.int64), max(height - 2, 0)),
+    )
     x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
     fx, fy = (x - x0)[..., None], (y - y0)[..., None]
     upper = planes[y0, x0] * (1 - fx) + planes[y0, x1] * fx

@@ -146,5 +146,3 @@ def _solid(rings: list[Float[np.ndarray, "n 2"]], depth: float) -> Float[np.ndar
         quad = np.stack([at(a, half), at(b, half), at(b, -half), at(a, -half)], 1)[:, ::-1]
         parts += [quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]
     return np.concatenate(parts)
-
-

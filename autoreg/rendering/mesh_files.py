@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import trimesh
 
 from autoreg.rendering.surface import Surface, flat_normals
 
@@ -28,6 +27,8 @@ def read_mesh(path: Path, up: Literal["y", "z"] = "z") -> Surface:
     """
     if not path.is_file():
         raise ValueError(f"mesh {path} does not exist")
+    import trimesh  # Slow to import, and few scenes have a mesh.
+
     try:
         # Unmerged and unprocessed, because merging would drop the file's normals.
         loaded = trimesh.load_mesh(path, process=False)

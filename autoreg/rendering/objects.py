@@ -100,19 +100,10 @@ class Mesh:
 Shape = Box | Sphere | Cylinder | Cone | Torus | Text | Mesh
 
 # Finishes of POV-Ray's own finish.inc and metals.inc, with the file that has each.
-FINISHES = {
-    name: "finish.inc"
-    for name in (
-        "Dull",
-        "Shiny",
-        "Phong_Dull",
-        "Phong_Shiny",
-        "Glossy",
-        "Phong_Glossy",
-        "Luminous",
-        "Mirror",
-    )
-} | {f"F_Metal{letter}": "metals.inc" for letter in "ABCDE"}
+FINISHES = dict.fromkeys(
+    ("Dull", "Shiny", "Phong_Dull", "Phong_Shiny", "Glossy", "Phong_Glossy", "Luminous", "Mirror"),
+    "finish.inc",
+) | {f"F_Metal{letter}": "metals.inc" for letter in "ABCDE"}
 
 
 @dataclass(frozen=True)
@@ -216,12 +207,21 @@ class Light:
 
 @dataclass(frozen=True)
 class Scene:
-    """What a user wants to see on the paving."""
+    """What a user wants to see on the paving.
+
+    Attributes:
+        objects: what stands on it.
+        light: what lights them.
+        joints: whether lines are drawn on the joints.
+        joint_colour: colour of these, linear RGB.
+        focus_m: the ground point that a lens with an opening is focused on; None is the first object's.
+    """
 
     objects: tuple[Object, ...] = ()
     light: Light = field(default_factory=Light)
     joints: bool = False
     joint_colour: RGB = (1.0, 0.7, 0.0)
+    focus_m: tuple[float, float] | None = None
 
 
 def colour(value: str | tuple[float, float, float]) -> RGB:

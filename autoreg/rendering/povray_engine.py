@@ -100,7 +100,12 @@ class PovrayEngine:
             yield folder
 
     def _render(
-        self, folder: Path, window: Window, number: int, smooth: list[str], size: tuple[int, int] | None = None
+        self,
+        folder: Path,
+        window: Window,
+        number: int,
+        smooth: list[str],
+        size: tuple[int, int] | None = None,
     ) -> Float[np.ndarray, "h w 4"]:
         """One pass over a window of the straight picture: BGRA, straight alpha, linear."""
         width, height = size or (window.width, window.height)

@@ -178,9 +178,7 @@ def _weights(
     return np.stack([np.clip(1.0 - u - v, 0.0, 1.0), u, v], -1)
 
 
-def _looked_up(
-    image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]
-) -> Float[np.ndarray, "n 3"]:
+def _looked_up(image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
     height, width = image.shape[:2]
     x: Int[np.ndarray, " n"] = np.floor((uv[:, 0] % 1.0) * width).astype(np.int64).clip(0, width - 1)
     y: Int[np.ndarray, " n"] = np.floor((1.0 - uv[:, 1] % 1.0) * height).astype(np.int64).clip(0, height - 1)

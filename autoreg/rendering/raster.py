@@ -85,7 +85,7 @@ class ZBuffer:
         px = np.stack([(x + 0.5) / s - 0.5, (y + self._top + 0.5) / s - 0.5], -1)
         return self._view.directions(px)
 
-    def _samples_of(self, corners: Float[np.ndarray, "n 3 3"]):  # noqa: ANN202  # a generator of plain arrays
+    def _samples_of(self, corners: Float[np.ndarray, "n 3 3"]):  # a generator of plain arrays
         """Batches of samples inside triangles: x, y, 1/depth, and the triangle's number."""
         c, s = self._view.camera, self._samples
         points_cam = self._view.cam_from_ground.apply(corners)

@@ -70,7 +70,9 @@ def marks_text(marks_ground: Float[np.ndarray, "n 4 2"]) -> str:
         f"polygon {{ 5, {', '.join(vector([*corner, 0.0]) for corner in (*mark, mark[0]))} }}"
         for mark in marks_ground
     ]
-    return "\n".join(["union {", *marks, "pigment { rgb 1 } finish { ambient 0 diffuse 0 emission 1 }", "}", ""])
+    return "\n".join(
+        ["union {", *marks, "pigment { rgb 1 } finish { ambient 0 diffuse 0 emission 1 }", "}", ""]
+    )
 
 
 def _heading(alignment: Alignment, backdrop: str, staging: Staging, mirrors: bool) -> str:
@@ -117,8 +119,12 @@ def _camera(view: View, focus: Focus | None) -> str:
 #declare Focus_On = {vector(focus.point)};
 """
     )
-    lens = "" if focus is None else (
-        "\n  aperture Aperture focal_point Focus_On blur_samples 37, 217 confidence 0.98 variance 1/40000"
+    lens = (
+        ""
+        if focus is None
+        else (
+            "\n  aperture Aperture focal_point Focus_On blur_samples 37, 217 confidence 0.98 variance 1/40000"
+        )
     )
     return f"""
 // --- Camera -----------------------------------------------------------------------------------------

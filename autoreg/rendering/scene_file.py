@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import cv2
 
 from autoreg.errors import InputError
+from autoreg.rendering.letters import text_surface
 from autoreg.rendering.mesh_files import read_mesh
 from autoreg.rendering.objects import (
     FINISHES,
@@ -52,7 +53,7 @@ _SHAPE_KEYS = {
 _PLACES = ("slab", "ground", "pixel")
 _COMMON = ("name", "shape", *_PLACES, "offset", "turn", "lift", "colour", "color", "image", "finish")
 _LIGHT_KEYS = ("sun", "sky", "exposure")
-_TOP_KEYS = ("joints", "joint_colour", "light", "object")
+_TOP_KEYS = ("joints", "joint_colour", "focus", "light", "object")
 
 
 def read_scene(path: Path) -> Scene:
@@ -91,12 +92,11 @@ def parse_scene(text: str, folder: Path, name: str = "scene") -> Scene:
     light = top.get("light", _as_table, {})
     objects = top.get("object", _as_tables, [])
     return Scene(
-        tuple(
-            _object(_Table(entry, name, text, "object", n, folder), n) for n, entry in enumerate(objects)
-        ),
+        tuple(_object(_Table(entry, name, text, "object", n, folder), n) for n, entry in enumerate(objects)),
         _light(_Table(light, name, text, "light", 0, folder)),
         top.get("joints", _as_flag, False),
         joint_colour,
+        top.get("focus", _pair, None),
     )
 
 
@@ -211,9 +211,19 @@ def _shape(table: _Table, kind: str) -> Shape:
             height = length("height")
             depth = table.get("depth", _as_number, 0.2 * height)
             text = Text(table.need("text", _as_text), height, depth, table.file("font"))
+            _assert_written(table, text)
             return text
         case _:
             return _mesh(table)
+
+
+def _assert_written(table: _Table, text: Text) -> None:
+    try:
+        text_surface(text.text, text.height_m, text.depth_m, text.font)
+    except ValueError as error:
+        raise table.error(
+            "font" if str(error).startswith("font") else "text", f"cannot be set: {error}"
+        ) from None
 
 
 def _mesh(table: _Table) -> Mesh:
@@ -259,7 +269,9 @@ def _material(table: _Table) -> Material:
         raise table.error("image", f"lies instead of the {key}; give one of them")
     image = table.file("image")
     if image is not None and cv2.imread(str(image), cv2.IMREAD_COLOR) is None:
-        raise table.error("image", f"names {image}, which is no picture that can be read; save it as PNG or JPEG")
+        raise table.error(
+            "image", f"names {image}, which is no picture that can be read; save it as PNG or JPEG"
+        )
     finish = table.get("finish", _one_of(tuple(FINISHES)), None)
     return Material(table.get(key, _as_colour, (0.6, 0.6, 0.6)), image, finish)
 
@@ -308,6 +320,11 @@ def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
         return tuple(_as_number(part) for part in value)
 
     return read
+
+
+def _pair(value: Any) -> tuple[float, float]:
+    x, y = _numbers(2)(value)
+    return x, y
 
 
 def _integers(count: int) -> Callable[[Any], tuple[int, ...]]:

@@ -247,7 +247,11 @@ def _assert_seen(solid: Solid, view: View, lattice: Lattice) -> None:
     )
     if depth.max() <= 0:
         raise InputError(f"{name}: {where} is behind the camera; {visible_slabs(view, lattice)}")
-    if depth.min() <= 0 and (solid.corners.min(0) < view.eye).all() and (view.eye < solid.corners.max(0)).all():
+    if (
+        depth.min() <= 0
+        and (solid.corners.min(0) < view.eye).all()
+        and (view.eye < solid.corners.max(0)).all()
+    ):
         raise InputError(f"{name}: the camera stands inside it; make it smaller or move it away")
     points = solid.surface.corners.reshape(-1, 3)
     px = view.project(points[:: max(1, len(points) // 20_000)])
@@ -273,7 +277,9 @@ def visible_slabs(view: View, lattice: Lattice) -> str:
         return "no slab is in the picture"
     (i0, j0), (i1, j1) = slabs.min(0), slabs.max(0)
     middle = view.ground_under(np.array([0.5 * c.width, 0.7 * c.height]))
-    near = f", and ({', '.join(map(str, slab_at(lattice, middle)))}) is in its middle" if (
-        np.isfinite(middle).all()
-    ) else ""
+    near = (
+        f", and ({', '.join(map(str, slab_at(lattice, middle)))}) is in its middle"
+        if (np.isfinite(middle).all())
+        else ""
+    )
     return f"the picture shows slabs with i from {i0} to {i1} and j from {j0} to {j1}{near}"
