@@ -47,8 +47,8 @@ def read_alignment(path: Path) -> SavedAlignment:
         raise InputError(f"{path} is no alignment.json: it has no schema_version")
     if report["schema_version"] != _VERSION:
         raise InputError(
-            f"{path} has schema_version {report['schema_version']!r}, and this autoreg reads {_VERSION}; align "
-            "the photo anew"
+            f"{path} has schema_version {report['schema_version']!r}, and this autoreg reads {_VERSION}; "
+            "align the photo anew"
         )
     if report.get("status") != "aligned":
         reason = (report.get("reason") or {}).get("message", "no reason is given")
@@ -64,15 +64,16 @@ def read_alignment(path: Path) -> SavedAlignment:
 def _alignment(report: dict[str, Any]) -> Alignment:
     image, camera, pose, lattice = (report[key] for key in ("image", "camera", "pose", "lattice"))
     K, dist = np.array(camera["K"], float), tuple(camera["dist"])
-    size = (image["width"], image["height"])
+    width, height = image["width"], image["height"]
     residual = report["residual"]
     R, t = np.array(pose["R"], float), np.array(pose["t"], float)
     if R.shape != (3, 3) or t.shape != (3,) or not np.abs(R @ R.T - np.eye(3)).max() < _NOT_A_ROTATION:
         raise ValueError("pose.R and pose.t are no rigid motion")
     return Alignment(
-        *size,
+        width,
+        height,
         CameraReport(
-            Camera(*size, K[0, 0], K[1, 1], K[0, 2], K[1, 2], dist),
+            Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2], dist),
             camera["source"],
             camera["consistent"],
             camera["focal_from_photo_px"],
@@ -82,7 +83,8 @@ def _alignment(report: dict[str, Any]) -> Alignment:
         report["scale"]["source"],
         Lattice(
             lattice["kind"],
-            *lattice["spacing"],
+            lattice["spacing"][0],
+            lattice["spacing"][1],
             lattice["shift"],
             lattice["joint_width"],
             np.array(lattice["extent"], float),

@@ -117,7 +117,7 @@ def render_command(
         Path | None, typer.Option(metavar="FILE", help="The photo, if it is no longer where it was.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder; that of ALIGNMENT by default.")
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder, else ALIGNMENT's.")
     ] = None,
     timeout: TimeoutOption = 1800.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print alignment.json on stdout.")] = False,

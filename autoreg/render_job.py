@@ -142,8 +142,8 @@ def render_into(
     if engine.name == "preview":
         if engine_name == "auto":
             note(
-                "POV-Ray is not installed, so the built-in preview renders; for soft shadows, reflections and "
-                "materials install it (apt-get install povray, or brew install povray) and render again"
+                "POV-Ray is not installed, so the built-in preview renders; for soft shadows, reflections "
+                "and materials install it (apt-get install povray, or brew install povray) and render again"
             )
         if wish.lens is not None:
             note("the preview has no depth of field; --dof needs POV-Ray")
@@ -216,8 +216,8 @@ def _photo_of(job: RenderJob, saved: SavedAlignment) -> tuple[Path, UInt8[np.nda
     wanted = (saved.alignment.width, saved.alignment.height)
     if (photo.width, photo.height) != wanted:
         raise InputError(
-            f"photo {path} has {photo.width} x {photo.height} pixels, but {wanted[0]} x {wanted[1]} were aligned; "
-            "give the same photo with --photo"
+            f"photo {path} has {photo.width} x {photo.height} pixels, but {wanted[0]} x {wanted[1]} were "
+            "aligned; give the same photo with --photo"
         )
     return path, photo.colour()
 

@@ -81,7 +81,7 @@ def check_render(engine: Engine, plan: Plan) -> RenderCheck | None:
 
 
 def choose_marks(view: View, lattice: Lattice, focus: Focus | None = None) -> Marks:
-    """Stripes on slab sides, spread over the picture and clear of each other, where the lens draws sharply."""
+    """Stripes on slab sides, spread over the picture, clear of each other, where the lens is sharp."""
     whole = slab_sides(lattice)
     # Whole sides, and quarters of those that are so large that few of them are wholly in the picture.
     cuts = whole[:, :1] + np.linspace(0, 1, 5)[:, None] * (whole[:, 1:] - whole[:, :1])
@@ -100,9 +100,9 @@ def choose_marks(view: View, lattice: Lattice, focus: Focus | None = None) -> Ma
     px_per_unit = np.abs(moved[:, 0] * way[:, 1] - moved[:, 1] * way[:, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         half = 0.5 * _WIDTH_PX / px_per_unit
-    room = np.array([view.camera.width, view.camera.height]) - 2 * _REACH_PX
+    room = np.array([view.camera.width, view.camera.height]) - 1 - 3 * _REACH_PX
     fits = (length > _SHORTEST_PX) & (half < 0.1 * lattice.spacing_y)
-    fits &= ((middle_px > 2 * _REACH_PX) & (middle_px < room)).all(-1)
+    fits &= ((middle_px > 3 * _REACH_PX) & (middle_px < room)).all(-1)
     if focus is not None:
         fits &= blur_px(view, focus, middle) < _MOST_BLUR_PX
 

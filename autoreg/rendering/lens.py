@@ -96,12 +96,12 @@ def bend(
 def _sampled(
     planes: Float[np.ndarray, "a b c"], at: Float[np.ndarray, "h w 2"], outside: Float[np.ndarray, " c"]
 ) -> Float[np.ndarray, "h w c"]:
-    """Planes between their pixels, linearly: a smoother kernel rings, and would touch the photo around solids.
+    """Planes between their pixels, linearly: a smoother kernel rings, and touches the photo around solids.
 
     OpenCV's remap is not used because it rounds places to 1/32 pixel.
     """
     height, width = planes.shape[:2]
-    known = np.isfinite(at).all(-1)
+    known = np.asarray(np.isfinite(at).all(-1))
     x = np.clip(np.where(known, at[..., 0], 0.0), 0.0, width - 1.0)
     y = np.clip(np.where(known, at[..., 1], 0.0), 0.0, height - 1.0)
     x0, y0 = (

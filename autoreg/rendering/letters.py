@@ -37,12 +37,12 @@ def text_surface(text: str, height: float, depth: float, font: Path | None) -> S
         raise ValueError(f"the font has no letter {' '.join(map(repr, missing))}; give another with font")
     glyphs = loaded.getGlyphSet()
     capital = _rings(glyphs, names[ord("H")]) if ord("H") in names else []
-    size = np.concatenate(capital).max(0)[1] if capital else 0.7 * loaded["head"].unitsPerEm
+    size = np.concatenate(capital).max(0)[1] if capital else 0.7 * _units_per_em(loaded)
     along, parts = 0.0, [np.empty((0, 3, 3))]
     for letter in text:
         name = names[ord(letter)]
         for outline in _outlines(_rings(glyphs, name)):
-            parts.append(_solid([ring + [along, 0.0] for ring in outline], depth * size / height))
+            parts.append(_solid([ring + np.array([along, 0.0]) for ring in outline], depth * size / height))
         along += glyphs[name].width
     corners = np.concatenate(parts) * height / size
     if not len(corners):
@@ -62,6 +62,10 @@ def _load_font(path: Path | None) -> TTFont:
         return TTFont(io.BytesIO(built_in.font_bytes))
     except (OSError, TTLibError) as error:
         raise ValueError(f"font {path} cannot be read: {error}") from error
+
+
+def _units_per_em(font: TTFont) -> float:
+    return float(font["head"].unitsPerEm)  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
 
 
 def _rings(glyphs: object, name: str) -> list[Float[np.ndarray, "n 2"]]:

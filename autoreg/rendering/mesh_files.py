@@ -41,7 +41,8 @@ def read_mesh(path: Path, up: Literal["y", "z"] = "z") -> Surface:
         raise ValueError(f"mesh {path} holds no triangles with finite corners")
     if len(corners) > _MOST_TRIANGLES:
         raise ValueError(f"mesh {path} has {len(corners)} triangles, more than {_MOST_TRIANGLES}; reduce it")
-    given = "vertex_normals" in mesh._cache or mesh.metadata.get("normals") is not None
+    # Normals that trimesh did not read it would make up, smooth over every edge.
+    given = "vertex_normals" in mesh._cache  # pyright: ignore[reportPrivateUsage]
     normals = np.asarray(mesh.vertex_normals[mesh.faces], float) if given else flat_normals(corners)
     uv = getattr(mesh.visual, "uv", None)
     uv = np.asarray(uv, float)[mesh.faces] if uv is not None and len(uv) == len(mesh.vertices) else None

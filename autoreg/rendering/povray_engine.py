@@ -25,6 +25,8 @@ _PICTURE = ["-D", "+FN16", "+UA", "File_Gamma=1.0", "-J"]
 # Pixels that differ from their neighbours by more than the first number are divided again and again:
 # finely for outlines, less so for shadows, which the sun's and the sky's width make soft.
 _FINE, _SHADOW, _MARKS = ["+A0.01", "+AM2", "+R3"], ["+A0.03", "+AM2", "+R3"], ["+A0.003", "+AM2", "+R4"]
+# Focal blur has its own samples, each of which any division would take anew.
+_BLURRED = ["-A"]
 # Of the whole, what each pass usually takes, for the progress bar.
 _PART = {scene.PASS_SOLIDS: (0.0, 0.4), scene.PASS_SHADOWED_GROUND: (0.4, 0.9), scene.PASS_MARKS: (0.9, 1.0)}
 
@@ -52,7 +54,7 @@ class PovrayEngine:
         if not width * height:
             return Layer(straight, np.zeros((height, width, 3)), np.ones((height, width)))
         with self._folder(plan) as folder:
-            solids = self._render(folder, straight, scene.PASS_SOLIDS, _FINE)
+            solids = self._render(folder, straight, scene.PASS_SOLIDS, _smooth(plan, _FINE))
             alpha = solids[..., 3]
             light = solids[..., 2::-1] * alpha[..., None]
             kept = self._kept(folder, plan, straight)
@@ -64,13 +66,13 @@ class PovrayEngine:
         """Coverage, 0 to 1, by flat marks on the ground, of a window of the straight picture."""
         with self._folder(plan) as folder:
             (folder / scene.MARKS_NAME).write_text(scene.marks_text(marks_ground))
-            return self._render(folder, straight, scene.PASS_MARKS, _MARKS, (width, height))[..., 3]
+            return self._render(folder, straight, scene.PASS_MARKS, _smooth(plan, _MARKS), (width, height))[..., 3]
 
     def _kept(self, folder: Path, plan: Plan, straight: Window) -> Float[np.ndarray, "h w"]:
         """The part of its light that the shadowed ground keeps; 1 where no ground is."""
         if not plan.staging.solids:
             return np.ones((straight.height, straight.width))
-        shadowed = self._render(folder, straight, scene.PASS_SHADOWED_GROUND, _SHADOW)
+        shadowed = self._render(folder, straight, scene.PASS_SHADOWED_GROUND, _smooth(plan, _SHADOW))
         there = shadowed[..., 3]
         if not there.any():
             return np.ones((straight.height, straight.width))
@@ -122,6 +124,10 @@ class PovrayEngine:
         if picture is None or picture.shape != (height, width, 4):
             raise RenderError(f"POV-Ray ended well but wrote no picture of {width} x {height} pixels")
         return picture / 65535.0
+
+
+def _smooth(plan: Plan, sharp: list[str]) -> list[str]:
+    return sharp if plan.staging.focus is None else _BLURRED
 
 
 def write_image(source: Path, target: Path) -> None:

@@ -131,13 +131,13 @@ def _primitive(solid: Solid) -> str | None:
     """POV-Ray's own shape, its brace still open; None for what it has only as triangles."""
     match solid.source.shape:
         case Box((x, y, z)):
-            return f"box {{ {vector([-x / 2, -y / 2, 0])}, {vector([x / 2, y / 2, z])}"
+            return f"box {{ {vector([-x / 2, -y / 2, 0.0])}, {vector([x / 2, y / 2, z])}"
         case Sphere(radius):
-            return f"sphere {{ {vector([0, 0, radius])}, {number(radius)}"
+            return f"sphere {{ {vector([0.0, 0.0, radius])}, {number(radius)}"
         case Cylinder(radius, height):
-            return f"cylinder {{ <0, 0, 0>, {vector([0, 0, height])}, {number(radius)}"
+            return f"cylinder {{ <0, 0, 0>, {vector([0.0, 0.0, height])}, {number(radius)}"
         case Cone(radius, height, top):
-            return f"cone {{ <0, 0, 0>, {number(radius)}, {vector([0, 0, height])}, {number(top)}"
+            return f"cone {{ <0, 0, 0>, {number(radius)}, {vector([0.0, 0.0, height])}, {number(top)}"
         case Torus(radius, tube):
             return f"torus {{ {number(radius)}, {number(tube)} rotate 90*x translate {number(tube)}*z"
         case _:

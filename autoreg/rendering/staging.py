@@ -39,7 +39,7 @@ from autoreg.rendering.surface import (
 from autoreg.view import View
 
 # Directions from which the sky's light comes; none lower, where houses and hedges stand.
-_SKY_LIGHTS, _LOWEST_SINE = 32, 0.35
+_SKY_LIGHTS, _LOWEST_SINE = 24, 0.35
 # No real surface throws back all light: a colour of 1 is that of white paint.
 _WHITEST = 0.85
 # Light that the ground throws back onto every surface, as a part of what falls on it.
@@ -83,8 +83,8 @@ class Solid:
 class Lamps:
     """The light on the scene, as far lamps: the sun, and the sky in pieces.
 
-    A surface with normal n shows colour * whitest * exposure * (sun max(0, n.to_sun) + sum of sky max(0, n.to_sky)
-    + bounce); sun and sky together give 1 on level open ground.
+    A surface with normal n shows colour * whitest * exposure * (sun max(0, n.to_sun)
+    + sum of sky max(0, n.to_sky) + bounce); sun and sky together give 1 on level open ground.
     """
 
     to_sun: Float[np.ndarray, "3"]
