@@ -98,7 +98,7 @@ def _alignment(report: dict[str, Any]) -> Alignment:
     )
 
 
-def _number(value: float | None) -> Any:
+def _number(value: Any) -> Any:
     """A number as it was; null stands for what was not finite."""
     return float("nan") if value is None else value
 

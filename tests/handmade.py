@@ -78,7 +78,9 @@ def photo_for(camera: Camera = CAMERA) -> np.ndarray:
     return rng.integers(40, 220, (camera.height, camera.width, 3)).astype(np.uint8)
 
 
-def plan_for(scene: Scene | None = None, found: Alignment | None = None, photo: np.ndarray | None = None) -> Plan:
+def plan_for(
+    scene: Scene | None = None, found: Alignment | None = None, photo: np.ndarray | None = None
+) -> Plan:
     """What an engine draws: the demo objects if no scene is given."""
     found = found or alignment()
     view = View(found.camera.camera, found.pose.cam_from_ground)

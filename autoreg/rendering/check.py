@@ -102,6 +102,8 @@ def choose_marks(view: View, lattice: Lattice, focus: Focus | None = None) -> Ma
         half = 0.5 * _WIDTH_PX / px_per_unit
     room = np.array([view.camera.width, view.camera.height]) - 1 - 3 * _REACH_PX
     fits = (length > _SHORTEST_PX) & (half < 0.1 * lattice.spacing_y)
+    # Where the way across a joint is seen nearly along it, a stripe's ends would slant far along it.
+    fits &= 2 * half * np.linalg.norm(moved, axis=-1) < 2 * _WIDTH_PX
     fits &= ((middle_px > 3 * _REACH_PX) & (middle_px < room)).all(-1)
     if focus is not None:
         fits &= blur_px(view, focus, middle) < _MOST_BLUR_PX

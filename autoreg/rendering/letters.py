@@ -68,7 +68,7 @@ def _units_per_em(font: TTFont) -> float:
     return float(font["head"].unitsPerEm)  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
 
 
-def _rings(glyphs: object, name: str) -> list[Float[np.ndarray, "n 2"]]:
+def _rings(glyphs: object, name: str) -> list[Float[np.ndarray, "_ 2"]]:
     """Closed outlines of one glyph, curves cut into straight pieces."""
     pen = DecomposingRecordingPen(glyphs)
     glyphs[name].draw(pen)  # pyright: ignore[reportIndexIssue]  # a mapping without types
@@ -101,7 +101,7 @@ def _without_repeats(ring: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2"]
     return ring[np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1) > 1e-6]
 
 
-def _outlines(rings: list[Float[np.ndarray, "n 2"]]) -> list[list[Float[np.ndarray, "n 2"]]]:
+def _outlines(rings: list[Float[np.ndarray, "_ 2"]]) -> list[list[Float[np.ndarray, "_ 2"]]]:
     """Each outer ring (counter-clockwise) with the holes (clockwise) that lie directly in it."""
     around = [[k for k, other in enumerate(rings) if k != n and _inside(ring[0], other)]
               for n, ring in enumerate(rings)]  # fmt: skip
@@ -130,13 +130,14 @@ def _oriented(ring: Float[np.ndarray, "n 2"], sign: float) -> Float[np.ndarray, 
     return ring if area * sign > 0 else ring[::-1]
 
 
-def _solid(rings: list[Float[np.ndarray, "n 2"]], depth: float) -> Float[np.ndarray, "m 3 3"]:
+def _solid(rings: list[Float[np.ndarray, "_ 2"]], depth: float) -> Float[np.ndarray, "m 3 3"]:
     """Front, back and rim of an outline with holes, as triangles; x to the right, z up, front at -y."""
     points = np.concatenate(rings)
     ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
     index = mapbox_earcut.triangulate_float64(points, ends).reshape(-1, 3)
     flat = points[index.astype(np.int64)]
-    turn = np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0])
+    e1, e2 = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    turn = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
     flat = np.where(turn[:, None, None] > 0, flat, flat[:, ::-1])
 
     def at(xz: np.ndarray, y: float) -> np.ndarray:
@@ -147,6 +148,6 @@ def _solid(rings: list[Float[np.ndarray, "n 2"]], depth: float) -> Float[np.ndar
     for ring in rings:
         a, b = ring, np.roll(ring, -1, axis=0)
         # The outline runs with the letter on its left, so its outer side is on the right.
-        quad = np.stack([at(a, half), at(b, half), at(b, -half), at(a, -half)], 1)[:, ::-1]
+        quad = np.stack([at(a, half), at(b, half), at(b, -half), at(a, -half)], 1)
         parts += [quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]
     return np.concatenate(parts)

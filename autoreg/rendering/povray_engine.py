@@ -24,7 +24,7 @@ from autoreg.view import Window
 _PICTURE = ["-D", "+FN16", "+UA", "File_Gamma=1.0", "-J"]
 # Pixels that differ from their neighbours by more than the first number are divided again and again:
 # finely for outlines, less so for shadows, which the sun's and the sky's width make soft.
-_FINE, _SHADOW, _MARKS = ["+A0.01", "+AM2", "+R3"], ["+A0.03", "+AM2", "+R3"], ["+A0.003", "+AM2", "+R4"]
+_FINE, _SHADOW, _MARKS = ["+A0.01", "+AM2", "+R3"], ["+A0.03", "+AM2", "+R3"], ["+A0.003", "+AM2", "+R5"]
 # Focal blur has its own samples, each of which any division would take anew.
 _BLURRED = ["-A"]
 # Of the whole, what each pass usually takes, for the progress bar.
@@ -66,7 +66,9 @@ class PovrayEngine:
         """Coverage, 0 to 1, by flat marks on the ground, of a window of the straight picture."""
         with self._folder(plan) as folder:
             (folder / scene.MARKS_NAME).write_text(scene.marks_text(marks_ground))
-            return self._render(folder, straight, scene.PASS_MARKS, _smooth(plan, _MARKS), (width, height))[..., 3]
+            return self._render(folder, straight, scene.PASS_MARKS, _smooth(plan, _MARKS), (width, height))[
+                ..., 3
+            ]
 
     def _kept(self, folder: Path, plan: Plan, straight: Window) -> Float[np.ndarray, "h w"]:
         """The part of its light that the shadowed ground keeps; 1 where no ground is."""
