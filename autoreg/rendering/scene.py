@@ -288,8 +288,9 @@ def _photo(name: str, view: View, staging: Staging) -> str:
 #end
 #declare Sky_Dome = sphere {{ Eye, 1e5 hollow
   pigment {{ gradient z
-    color_map {{ [0 rgb <0.80, 0.85, 0.90>*Exposure] [1 rgb <0.30, 0.45, 0.75>*Exposure] }}
-    scale 1e5 translate Eye }}
+    color_map {{ [0.5 rgb <0.40, 0.38, 0.36>*Exposure] [0.5 rgb <0.80, 0.85, 0.90>*Exposure]
+      [1.0 rgb <0.30, 0.45, 0.75>*Exposure] }}
+    scale 2e5 translate Eye - 1e5*z }}
   finish {{ ambient 0 diffuse 0 emission 1 }}
   no_shadow no_image
 }}
