@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -180,6 +181,11 @@ def run_render(
         for name in PICTURES:
             (folder / name).unlink(missing_ok=True)
         return _finished(folder, plan, saved, None, [], error)
+    except BaseException:
+        # Cancelled: a folder that was made for this render alone goes too.
+        with suppress(OSError):
+            folder.rmdir()
+        raise
     return _finished(folder, plan, saved, made, written, None)
 
 

@@ -3,8 +3,8 @@
 Three photos of 4896 x 2752 pixels, one of them cropped to 2752 x 2752, and one handed over in another
 size than its camera was calibrated in. Nothing is set by hand between them. Beside it stands what lines
 placed by hand can reach: a camera guessed as one does in POV-Ray (a taped height, a look_at point, the angle
-of view; so the principal point in the middle, square pixels, no roll, no distortion), and for the lines a turn
-about the vertical axis and a shift sideways, of which the best are found by search.
+of view; so the principal point in the middle, square pixels, no roll, no distortion), and for the lines a
+turn about the vertical axis and a shift sideways, of which the best are found by search.
 
     python benchmarks/thesis.py OUT        # the photos are kept in OUT and not traced again
 """

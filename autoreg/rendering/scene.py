@@ -217,6 +217,7 @@ def drawn_joint_width(lattice: Lattice) -> float:
 
 def _light(lamps: Lamps) -> str:
     sun, sky = lamps.on_ground
+    directions = ",\n".join(f"  {vector(np.round(way, 9))}" for way in lamps.to_sky)
     return f"""
 // --- Light: the sun as wide as it is, and the whole sky as lamps that cast soft shadows ---------------
 // On level open ground the sun gives {sun:.2f} and the sky {sky:.2f} of the light; a sheet there that
@@ -234,7 +235,7 @@ light_source {{ Far*To_Sun rgb Exposure*Sun
   area_light 0.0093*Far*x, 0.0093*Far*y, 5, 5 adaptive 1 circular orient
 }}
 #declare Sky_Direction = array[Sky_Lamps] {{
-  {", ".join(chr(10) * (n % 3 == 0 and n > 0) + vector(np.round(d, 9)) for n, d in enumerate(lamps.to_sky))}
+{directions}
 }}
 #for (N, 0, Sky_Lamps - 1)
   light_source {{ 1e5*Sky_Direction[N] rgb Exposure*Sky_Each parallel point_at <0, 0, 0> }}
@@ -260,6 +261,7 @@ def _photo(name: str, view: View, staging: Staging) -> str:
     matrix <S*R_.x, S*R_.y, S*R_.z, S*U_.x, S*U_.y, S*U_.z, S*D_.x, S*D_.y, S*D_.z, P_.x, P_.y, P_.z>
   }}
 #end
+// As far as the shadows of the objects below reach; make it larger for larger ones of your own.
 #macro Ground_Disc() disc {{ {vector(centre)}, z, {number(radius)} #end
 // The photo thrown from the camera onto the ground: where all the light arrives it shows as it is.
 #macro Photo_Ground()

@@ -40,9 +40,8 @@ class ObjectsText:
 
 
 def number(value: float) -> str:
-    """A number that reads back exactly; whole ones without a point."""
-    value = float(value)
-    return str(int(value)) if value == int(value) and abs(value) < 1e15 else repr(value)
+    """A number for people to read: ten digits, which are a nanometre and a millionth of a pixel."""
+    return f"{value:.10g}"
 
 
 def vector(values: Float[np.ndarray, " n"] | list[float] | tuple[float, ...]) -> str:
@@ -146,7 +145,7 @@ def _primitive(solid: Solid) -> str | None:
 
 def _material(material: Material, image: str | None) -> str:
     if image is None:
-        pigment = f"pigment {{ rgb {vector(material.colour)} }}"
+        pigment = f"pigment {{ rgb {vector([round(part, 4) for part in material.colour])} }}"
     else:
         pigment = f'uv_mapping pigment {{ image_map {{ png "{image}" interpolate 2 }} }}'
     return pigment if material.finish is None else f"{pigment} finish {{ {material.finish} }}"
