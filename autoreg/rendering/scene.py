@@ -126,7 +126,7 @@ def _camera(view: View, focus: Focus | None) -> str:
         ""
         if focus is None
         else (
-            "\n  aperture Aperture focal_point Focus_On blur_samples 16, 160 confidence 0.95 variance 1/10000"
+            "\n  aperture Aperture focal_point Focus_On blur_samples 10, 100 confidence 0.95 variance 1/10000"
         )
     )
     shift = "" if focus is None else " + Blur_Shift"
