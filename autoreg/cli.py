@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from autoreg.cli_render import (
+    DemoOption,
+    DofOption,
+    EngineOption,
+    LinesOption,
+    OptionalValues,
+    SceneOption,
+    SunOption,
+    TimeoutOption,
+    parse_wish,
+)
 from autoreg.errors import AutoregError, InputError
 from autoreg.options import parse_crop, parse_height, parse_slab
 
@@ -27,13 +39,12 @@ app = typer.Typer(
     help="Align a camera to photographed paving, so that a computer-generated object can stand on it.",
 )
 
-Engine = Literal["auto", "povray", "preview"]
 _FolderOption = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of results.")
 ]
 
 
-@app.command("align")
+@app.command("align", cls=OptionalValues)
 def align_command(
     photo: Annotated[Path, typer.Argument(help="The photo; put -- before a name that begins with -.")],
     camera: Annotated[
@@ -52,9 +63,13 @@ def align_command(
     render: Annotated[
         bool, typer.Option("--render", help="Also write render.png and composite.png.")
     ] = False,
-    engine: Annotated[
-        Engine | None, typer.Option(help="What renders: auto is POV-Ray if installed, else the preview.")
-    ] = None,
+    engine: EngineOption = None,
+    scene: SceneOption = None,
+    demo_object: DemoOption = False,
+    sun: SunOption = None,
+    lines: LinesOption = False,
+    dof: DofOption = None,
+    timeout: TimeoutOption = 1800.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print alignment.json on stdout.")] = False,
 ) -> None:
     """Align the camera of PHOTO to the paving in it.
@@ -69,8 +84,11 @@ def align_command(
             raise InputError(
                 "--crop says how the photo was cut from the calibrated frame, so it needs --camera"
             )
+        # Whoever says what the picture shall show wants to see it; the engine alone may be a leftover.
+        render = render or demo_object or lines or any(o is not None for o in (scene, sun, dof))
         if engine is not None and not render:
             raise InputError("--engine chooses what renders, so it needs --render")
+        wish = parse_wish(scene, demo_object, sun, lines, dof, timeout)
         from autoreg.job import Job
 
         job = Job(
@@ -81,8 +99,51 @@ def align_command(
             slab=None if slab is None else parse_slab(slab),
             camera_height=None if camera_height is None else parse_height(camera_height),
             engine=(engine or "auto") if render else None,
+            wish=wish,
         )
         _run(job, as_json=as_json)
+
+
+@app.command("render", cls=OptionalValues)
+def render_command(
+    alignment: Annotated[Path, typer.Argument(help="The alignment.json of an aligned photo.")],
+    scene: SceneOption = None,
+    demo_object: DemoOption = False,
+    sun: SunOption = None,
+    lines: LinesOption = False,
+    dof: DofOption = None,
+    engine: EngineOption = None,
+    photo: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The photo, if it is no longer where it was.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder, else ALIGNMENT's.")
+    ] = None,
+    timeout: TimeoutOption = 1800.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print alignment.json on stdout.")] = False,
+) -> None:
+    """Put objects onto an aligned photo.
+
+    Writes scene.pov, render.png and composite.png, and what the render says into alignment.json. Without
+    --scene, demo objects stand there. Exit codes: 0 rendered, 2 bad input, 4 render failed.
+    """
+    with _exit_codes():
+        wish = parse_wish(scene, demo_object, sun, lines, dof, timeout)
+        from autoreg.render_job import RenderJob, run_render
+
+        job = RenderJob(alignment, wish, engine or "auto", photo, output)
+        with _listener() as listener:
+            outcome = run_render(job, listener.doing, listener.progress, listener.note)
+        if as_json:
+            from autoreg.report import report_text
+
+            sys.stdout.write(report_text(outcome.report))
+        for path in outcome.written:
+            _tell(f"wrote {path}")
+        _tell_check(outcome.report)
+        if outcome.error is not None:
+            _tell(f"error: the render failed: {outcome.error}")
+            raise typer.Exit(outcome.error.exit_code)
 
 
 @app.command()
@@ -124,6 +185,8 @@ def options(
 
 def main() -> None:
     """Run the command line; it ends the process with the contract's exit codes."""
+    # A polite kill ends a run as Ctrl-C does: other programs are stopped, and nothing is half written.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Ctrl-C may come before a command has begun.
     try:
         app(prog_name="autoreg")
@@ -179,8 +242,19 @@ def _tell_outcome(job: Job, outcome: Outcome) -> None:
         _tell(_summary(alignment))
     for path in outcome.written:
         _tell(f"wrote {path}")
+    _tell_check(outcome.report)
     if outcome.render_error is not None:
         _tell(f"error: the render failed: {outcome.render_error}")
+
+
+def _tell_check(report: dict[str, Any]) -> None:
+    """One line: how well the rendered camera is the photo's."""
+    check = (report.get("render") or {}).get("check")
+    if check is not None:
+        _tell(
+            f"rendered: joints in the layer lie {check['rms_px']:.3f} px rms ({check['max_px']:.3f} at most) "
+            "from their computed place"
+        )
 
 
 def _tell_inconsistent(given_px: float, found_px: float | None, sigma_px: float | None) -> None:
@@ -225,8 +299,20 @@ def _listener() -> Generator[Listener]:
 
     console = Console(stderr=True)
     with console.status("") as status:
+        step = ""
+
         # As Text, because file names may hold what rich takes for markup.
+        def doing(text: str) -> None:
+            nonlocal step
+            step = text
+            status.update(Text(f"{text} ..."))
+
+        def progress(part: float) -> None:
+            done = round(30 * part)
+            status.update(Text(f"{step} {'━' * done}{'─' * (30 - done)} {100 * part:3.0f} %"))
+
         yield Listener(
             note=lambda text: console.print(Text(f"note: {text}"), soft_wrap=True),
-            doing=lambda text: status.update(Text(f"{text} ...")),
+            doing=doing,
+            progress=progress,
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from autoreg.errors import AutoregError
 from autoreg.job import Listener, demo_job, run_job
-from autoreg.povray import find_povray, povray_version
+from autoreg.rendering.povray import find_povray, povray_version
 from autoreg.report import versions
 
 

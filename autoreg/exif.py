@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from PIL import Image
 
 _ORIENTATION, _FOCAL_MM, _FOCAL_35MM = 0x0112, 0x920A, 0xA405
+_F_NUMBER = 0x829D
 _PIXEL_WIDTH, _PIXEL_HEIGHT = 0xA002, 0xA003
 _PLANE_X_RESOLUTION, _PLANE_UNIT, _DIGITAL_ZOOM = 0xA20E, 0xA210, 0xA404
 _EXIF_IFD = 0x8769
@@ -48,6 +49,7 @@ class Exif:
     pixel_height: float | None = None
     plane_pixels_per_mm: float | None = None
     digital_zoom: float | None = None
+    f_number: float | None = None
 
 
 def read_exif(data: bytes) -> Exif:
@@ -78,6 +80,7 @@ def read_exif(data: bytes) -> Exif:
         pixel_height=_positive(details.get(_PIXEL_HEIGHT)),
         plane_pixels_per_mm=resolution / unit if resolution and unit else None,
         digital_zoom=_positive(details.get(_DIGITAL_ZOOM)),
+        f_number=_positive(details.get(_F_NUMBER)),
     )
 
 

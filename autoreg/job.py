@@ -7,13 +7,9 @@ import platform
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module, resources
 from pathlib import Path
-
-import cv2
-import numpy as np
-from jaxtyping import UInt8
 
 from autoreg.alignment import Alignment
 from autoreg.camera import Camera, fit_to_photo
@@ -22,11 +18,9 @@ from autoreg.errors import Refusal, RenderError
 from autoreg.image import Photo, load_photo
 from autoreg.outputs import clear_results, usable_folder, write_png, write_whole
 from autoreg.overlay import overlay_picture
-from autoreg.render import EngineName, choose_engine, render
-from autoreg.report import RenderReport, Report, aligned_report, refused_report, report_text
-from autoreg.scene import scene_text
-from autoreg.staging import demo_staging
-from autoreg.view import View
+from autoreg.render_job import Wish, make_plan, read_wish, render_into, write_scene
+from autoreg.rendering.render import EngineName
+from autoreg.report import Report, aligned_report, refused_report, report_text
 
 # The picture that autoreg brings along, and the sides of the slabs in it.
 DEMO_NAME, DEMO_SLAB_M = "terrace", (0.5, 0.5)
@@ -39,10 +33,12 @@ class Listener:
     Attributes:
         note: gets sentences that a person has to read.
         doing: gets the name of each step as it begins.
+        progress: gets the part of a long step that is done, 0 to 1.
     """
 
     note: Callable[[str], None]
     doing: Callable[[str], None]
+    progress: Callable[[float], None] = lambda part: None
 
 
 @dataclass(frozen=True)
@@ -57,6 +53,7 @@ class Job:
         slab: the slab's two sides in metres, in either order.
         camera_height: the camera's height above the ground in metres.
         engine: what renders, or None for no render.
+        wish: what the scene shows, and how.
     """
 
     photo: Path
@@ -66,6 +63,7 @@ class Job:
     slab: tuple[float, float] | None = None
     camera_height: float | None = None
     engine: EngineName | None = None
+    wish: Wish = field(default_factory=Wish)
 
 
 @dataclass(frozen=True)
@@ -100,6 +98,7 @@ def run_job(job: Job, listener: Listener) -> Outcome:
         InputError: the photo, the camera or the folder cannot be used; nothing was written.
     """
     usable_folder(job.folder)
+    scene = read_wish(job.wish)
     threading.Thread(target=_warm_up, daemon=True).start()
     listener.doing("reading the photo")
     photo = load_photo(job.photo)
@@ -122,38 +121,23 @@ def run_job(job: Job, listener: Listener) -> Outcome:
     listener.doing("drawing")
     colour = photo.colour()
     report = aligned_report(job.photo, alignment, None)
-    view = View(alignment.camera.camera, alignment.pose.cam_from_ground)
-    staging = demo_staging(view, alignment.lattice)
-    backdrop = "scene-undistorted.png" if view.camera.has_distortion else "scene-photo.png"
-    scene = scene_text(alignment, staging, backdrop)
+    plan = make_plan(job.wish, scene, alignment, colour, job.photo)
     overlay = overlay_picture(alignment, colour)
     job.folder.mkdir(parents=True, exist_ok=True)
     clear_results(job.folder)
-    written = [
-        write_png(job.folder / "overlay.png", overlay),
-        write_png(job.folder / backdrop, straightened(colour, view.camera)),
-        write_whole(job.folder / "scene.pov", scene.encode()),
-        _write_report(job, report),
-    ]
+    written = [write_png(job.folder / "overlay.png", overlay), *write_scene(job.folder, plan)]
+    written.append(_write_report(job, report))
     if job.engine is None:
         return Outcome(report, alignment, None, None, tuple(written))
-
     try:
-        engine = choose_engine(job.engine, scene, job.folder)
-        if job.engine == "auto" and engine.name == "preview":
-            listener.note("POV-Ray is not installed, so the built-in preview renders")
-        listener.doing(f"rendering with {engine.name}")
-        made = render(engine, alignment, staging, colour)
+        made, pictures = render_into(
+            job.folder, plan, colour, job.wish, job.engine, listener.doing, listener.progress, listener.note
+        )
     except RenderError as error:
         return Outcome(report, alignment, None, error, tuple(written))
-    names = ("render.png", "composite.png")
-    written += [
-        write_png(job.folder / names[0], made.layer),
-        write_png(job.folder / names[1], made.composite),
-    ]
-    report = aligned_report(job.photo, alignment, RenderReport(made.engine, names, made.check))
+    report = aligned_report(job.photo, alignment, made)
     _write_report(job, report)
-    return Outcome(report, alignment, None, None, tuple(written))
+    return Outcome(report, alignment, None, None, (*written, *pictures))
 
 
 def _warm_up() -> None:
@@ -166,19 +150,6 @@ def _warm_up() -> None:
         cache.mkdir(parents=True, exist_ok=True)
         import_module("autoreg.solver").enable_compilation_cache(cache)
     import_module("autoreg.align").warm_up()
-
-
-def straightened(photo: UInt8[np.ndarray, "h w 3"], camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
-    """The photo as a lens without distortion and with the same K would have taken it."""
-    if not camera.has_distortion:
-        return photo
-    straight = cv2.undistort(photo, camera.K, np.array(camera.dist))
-    # Past its fold the lens model shows parts of the photo a second time; those rays it knows nothing of.
-    x2 = ((np.arange(camera.width) - camera.cx) / camera.fx) ** 2
-    y2 = ((np.arange(camera.height) - camera.cy) / camera.fy) ** 2
-    if x2.max() + y2.max() > camera.valid_radius**2:
-        straight[x2 + y2[:, None] > camera.valid_radius**2] = 0
-    return straight
 
 
 def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:

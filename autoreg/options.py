@@ -7,6 +7,9 @@ import re
 
 from autoreg.errors import InputError
 
+# What --dof without a number stands for.
+EXIF = "exif"
+
 
 def parse_slab(text: str) -> tuple[float, float]:
     """The two sides in metres of "0.6x0.4", or of one number for a square.
@@ -35,6 +38,50 @@ def parse_crop(text: str) -> tuple[int, int, int, int]:
     if min(x, y) < 0 or min(width, height) < 1:
         raise InputError(f"--crop x,y,w,h wants x, y of at least 0 and w, h of at least 1; got {text!r}")
     return x, y, width, height
+
+
+def parse_sun(text: str) -> tuple[float, float]:
+    """Azimuth and elevation in degrees of "135,40".
+
+    Raises:
+        InputError: it is not two numbers, or the sun is not well above the horizon.
+    """
+    parts = [_number(part) for part in text.split(",")]
+    if len(parts) != 2 or parts[0] is None or parts[1] is None or not 5 <= parts[1] <= 90:
+        raise InputError(
+            "--sun wants azimuth,elevation in degrees, the azimuth from the ground's X towards its Y and an "
+            f"elevation of 5 to 90, such as 135,40; got {text!r}"
+        )
+    return parts[0], parts[1]
+
+
+def parse_lens(text: str) -> tuple[float | None, float | None]:
+    """F-number and focal length in mm of "2.8" or "2.8,24"; None for what EXIF has to say.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if text == EXIF:
+        return None, None
+    parts = [_number(part) for part in text.split(",")]
+    good = [part for part in parts if part is not None and part > 0]
+    if len(good) != len(parts) or len(parts) not in (1, 2):
+        raise InputError(
+            "--dof wants an f-number, such as 2.8, or with it the focal length in mm, such as 2.8,24; "
+            f"got {text!r}"
+        )
+    return good[0], good[1] if len(good) == 2 else None
+
+
+def parse_timeout(value: float) -> float:
+    """Seconds that POV-Ray may take for each pass.
+
+    Raises:
+        InputError: it is not a positive number.
+    """
+    if not (math.isfinite(value) and value > 0):
+        raise InputError(f"--timeout wants seconds, such as 600; got {value}")
+    return value
 
 
 def parse_height(value: float) -> float:

@@ -70,6 +70,8 @@ def clear_results(folder: Path) -> None:
     """
     report = folder / "alignment.json"
     if report.is_file():
-        for path in (folder / name for name in RESULT_NAMES):
+        # Meshes and pictures of a scene's objects are named after them.
+        objects = [*folder.glob("scene-thing_*.inc"), *folder.glob("scene-thing_*.png")]
+        for path in (*(folder / name for name in RESULT_NAMES), *objects):
             path.unlink(missing_ok=True)
         report.unlink()

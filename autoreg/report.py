@@ -14,8 +14,8 @@ import numpy as np
 
 from autoreg.alignment import Alignment
 from autoreg.camera import Camera
-from autoreg.check import RenderCheck
 from autoreg.errors import Refusal
+from autoreg.rendering.check import RenderCheck
 
 SCHEMA_VERSION = 1
 
@@ -87,7 +87,7 @@ def aligned_report(photo: Path, alignment: Alignment, render: RenderReport | Non
             }
             for joint in alignment.joints
         ],
-        "render": None if render is None else _render(render),
+        "render": None if render is None else render_report(render),
         "warnings": list(alignment.warnings),
         "versions": versions(),
     }
@@ -129,6 +129,18 @@ def refused_report(photo: Path, width: int, height: int, refusal: Refusal, camer
     }
 
 
+def render_report(render: RenderReport) -> Report:
+    """The `render` entry of a report."""
+    check = render.check
+    return {
+        "engine": render.engine,
+        "files": list(render.files),
+        "check": None
+        if check is None
+        else {"rms_px": _plain(check.rms_px), "max_px": _plain(check.max_px), "samples": check.samples},
+    }
+
+
 def report_text(report: Report) -> str:
     """The report as JSON text, in ASCII so that any terminal and any file system's names survive it."""
     return json.dumps(report, indent=1, allow_nan=False) + "\n"
@@ -155,17 +167,6 @@ def _image(photo: Path, width: int, height: int) -> Report:
 
 def _camera(camera: Camera, source: str) -> Report:
     return {"K": _plain(camera.K), "dist": [_plain(k) for k in camera.dist], "source": source}
-
-
-def _render(render: RenderReport) -> Report:
-    check = render.check
-    return {
-        "engine": render.engine,
-        "files": list(render.files),
-        "check": None
-        if check is None
-        else {"rms_px": _plain(check.rms_px), "max_px": _plain(check.max_px), "samples": check.samples},
-    }
 
 
 def _plain(value: np.ndarray | float | None) -> Any:

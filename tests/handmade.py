@@ -10,6 +10,11 @@ from autoreg.alignment import Alignment, CameraReport, JointFit, Pose, Residual
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
+from autoreg.rendering.demo import demo_objects
+from autoreg.rendering.engine import Plan
+from autoreg.rendering.objects import Light, Scene
+from autoreg.rendering.render import plan_render
+from autoreg.rendering.staging import stage
 from autoreg.view import View
 
 LENS = (-0.18, 0.05, 0.0006, -0.0009)
@@ -71,3 +76,15 @@ def photo_for(camera: Camera = CAMERA) -> np.ndarray:
     """A picture (BGR) in which no two neighbouring pixels are alike."""
     rng = np.random.default_rng(5)
     return rng.integers(40, 220, (camera.height, camera.width, 3)).astype(np.uint8)
+
+
+def plan_for(
+    scene: Scene | None = None, found: Alignment | None = None, photo: np.ndarray | None = None
+) -> Plan:
+    """What an engine draws: the demo objects if no scene is given."""
+    found = found or alignment()
+    view = View(found.camera.camera, found.pose.cam_from_ground)
+    if scene is None:
+        scene = Scene(demo_objects(view, found.lattice), Light(exposure=0.7))
+    photo = photo_for(view.camera) if photo is None else photo
+    return plan_render(found, stage(scene, view, found.lattice, photo), photo)

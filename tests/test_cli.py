@@ -13,10 +13,11 @@ from handmade import CAMERA, RUNNING, alignment, distorted, photo_for
 from typer.testing import CliRunner
 
 import autoreg.align
-from autoreg import job, povray
+from autoreg import job, render_job
 from autoreg.cli import app
 from autoreg.errors import InputError, Refusal
 from autoreg.outputs import write_whole
+from autoreg.rendering import render as rendering
 
 ALWAYS = {"alignment.json", "overlay.png", "scene.pov", "scene-photo.png"}
 
@@ -184,7 +185,7 @@ def test_render_adds_two_pictures_and_its_check(photo, aligned):
 
 
 def test_insisting_on_a_missing_engine_exits_4_and_writes_all_else(photo, aligned, monkeypatch):
-    monkeypatch.setattr(povray, "find_povray", lambda: None)
+    monkeypatch.setattr(rendering, "find_povray", lambda: None)
     done = run("align", photo, "-o", "out", "--render", "--engine", "povray")
     assert done.exit_code == 4
     assert files("out") == ALWAYS
@@ -193,7 +194,7 @@ def test_insisting_on_a_missing_engine_exits_4_and_writes_all_else(photo, aligne
 
 
 def test_without_povray_auto_says_that_it_renders_a_preview(photo, aligned, monkeypatch):
-    monkeypatch.setattr(povray, "find_povray", lambda: None)
+    monkeypatch.setattr(rendering, "find_povray", lambda: None)
     done = run("align", photo, "-o", "out", "--render")
     assert done.exit_code == 0
     assert "POV-Ray is not installed" in done.stderr
@@ -228,7 +229,7 @@ def test_a_full_disk_is_said_in_one_line(photo, aligned, monkeypatch):
             raise OSError(28, "No space left on device")
         return write_whole(path, content)
 
-    monkeypatch.setattr(job, "write_whole", full)
+    monkeypatch.setattr(render_job, "write_whole", full)
     done = run("align", photo, "-o", "out")
     assert done.exit_code == 2
     assert "No space left on device" in done.stderr

@@ -3,7 +3,7 @@ from handmade import photo_for
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autoreg.layer import Layer, lay_over, layer_picture, linear_from_srgb, srgb_from_linear
+from autoreg.rendering.layer import Layer, lay_over, layer_picture, linear_from_srgb, srgb_from_linear
 from autoreg.view import Window
 
 PHOTO = photo_for()

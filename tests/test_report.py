@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from handmade import CAMERA, ROWS, STACK, alignment
 
-from autoreg.check import RenderCheck
 from autoreg.errors import Refusal
+from autoreg.rendering.check import RenderCheck
 from autoreg.report import RenderReport, aligned_report, refused_report, report_text
 
 PHOTO = Path("my photo.jpg")

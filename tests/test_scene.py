@@ -1,21 +1,22 @@
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from handmade import CAMERA, POSE, ROWS, RUNNING, STACK, alignment, distorted
+from handmade import POSE, ROWS, RUNNING, STACK, alignment, distorted, plan_for
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autoreg.camera import Camera
 from autoreg.layout import slab_centre
-from autoreg.scene import marks_text, scene_text
-from autoreg.staging import demo_staging
-from autoreg.view import View
+from autoreg.rendering.objects import Box, Material, Object, OnGround, OnSlab, Scene, Sphere, UnderPixel
+from autoreg.rendering.scene import marks_text
+from autoreg.rendering.scene_objects import mesh_text
+from autoreg.rendering.surface import box_surface
 
 
-def text_for(found, backdrop="scene-photo.png"):
-    view = View(found.camera.camera, found.pose.cam_from_ground)
-    return scene_text(found, demo_staging(view, found.lattice), backdrop)
+def text_for(found=None, scene=None):
+    return plan_for(scene, found).files.text
 
 
 def constant(text, name):
@@ -56,15 +57,40 @@ def test_the_scenes_camera_puts_ground_points_where_the_fitted_camera_does(fx, f
 
 
 def test_the_camera_is_never_rebuilt_by_look_at_or_angle():
-    for text in (text_for(alignment()), marks_text(View(CAMERA, POSE), np.zeros((1, 4, 2)))):
-        statement = re.search(r"^camera \{.*?\}", text, re.MULTILINE | re.DOTALL)[0]
-        assert statement == "camera { location Eye right Cam_Right up Cam_Up direction Cam_Direction }"
+    statement = re.findall(r"^camera \{.*?\}", text_for(), re.MULTILINE | re.DOTALL)
+    assert statement == ["camera { location Eye right Cam_Right up Cam_Up direction Cam_Direction }"]
+    assert "camera" not in marks_text(np.zeros((1, 4, 2)))
 
 
-def test_the_scene_names_its_picture_relatively_and_no_other_file():
-    text = text_for(alignment(), "scene-photo.png")
-    assert re.findall(r'"([^"]*)"', text) == ["scene-photo.png"]
-    assert "#include" not in text
+def test_the_scene_names_its_files_relatively_and_only_those_it_comes_with():
+    box = Object("Café table", Box((0.2, 0.2, 0.2)), OnSlab(0, 0), Material(image=Path("/else/where.jpg")))
+    files = plan_for(Scene((box,))).files
+    named = set(re.findall(r'"([^"]*)"', files.text))
+    brought = {files.backdrop, *(name for name, _ in files.includes), *(name for name, _ in files.images)}
+    assert named == brought | {"scene.pov", "scene-marks.inc"}
+    assert brought == {"scene-photo.png", "scene-thing_caf_table.inc", "scene-thing_caf_table.png"}
+
+
+def test_objects_are_placed_by_the_macro_that_says_how_they_were_placed():
+    ball = Sphere(0.1)
+    things = (
+        Object("a", ball, OnSlab(1, 2)),
+        Object("a", ball, OnSlab(0, 1, (0.05, 0.0)), turn_deg=30.0),
+        Object("union", ball, OnGround(0.25, 0.5), lift_m=0.1),
+        Object("...", ball, UnderPixel(300.0, 250.0)),
+    )
+    text = text_for(scene=Scene(things))
+    assert "  Stand_On_Slab(Thing_a, 1, 2)\n" in text
+    assert "  Put_On_Slab(Thing_a_2, 0, 1, <0.05, 0, 0>, 30)\n" in text
+    assert "  Stand_At(Thing_union, <0.25, 0.5>, 0.1, 0)\n" in text
+    assert re.search(r"  Stand_At\(Thing_unnamed, .*// under pixel \(300, 250\)\n", text)
+
+
+def test_a_mesh_is_written_once_for_each_corner():
+    text = mesh_text("Thing_Mesh", box_surface((1.0, 2.0, 3.0)))
+    assert "vertex_vectors { 8," in text
+    assert "normal_vectors { 6," in text
+    assert "face_indices { 12," in text
 
 
 def test_the_slab_macro_gives_the_centres_of_the_layout():

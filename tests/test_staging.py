@@ -2,23 +2,33 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from handmade import CAMERA, POSE, ROWS, RUNNING, STACK, looking
+from handmade import CAMERA, POSE, ROWS, RUNNING, STACK, distorted, looking
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from autoreg.staging import Ball, Box, corners, demo_staging, shadow_corners
+from autoreg.errors import InputError
+from autoreg.layout import slab_centre
+from autoreg.rendering.demo import demo_objects
+from autoreg.rendering.objects import Box, Light, Object, OnGround, OnSlab, Scene, Sphere, UnderPixel
+from autoreg.rendering.staging import judged_exposure, lamps_for, stage
 from autoreg.view import View
 
+VIEW = View(CAMERA, POSE)
 LATTICES = pytest.mark.parametrize("lattice", [STACK, RUNNING, ROWS], ids=["stack", "running", "rows"])
+BALL = Sphere(0.1)
+
+
+def staged(*things, lattice=STACK, view=VIEW):
+    return stage(Scene(things), view, lattice).solids
 
 
 @LATTICES
 def test_the_demo_stands_on_the_ground_in_the_lower_middle_of_the_picture(lattice):
-    view = View(CAMERA, POSE)
-    block, ball = demo_staging(view, lattice).solids_on(lattice)
-    assert isinstance(block, Box)
-    assert isinstance(ball, Ball)
-    assert corners(block)[:, 2].min() == pytest.approx(0.0)
-    assert ball.centre[2] - ball.radius == pytest.approx(corners(block)[:, 2].max())
-    foot = view.project(block.centre * [1, 1, 0])
+    block, ball, cone = staged(*demo_objects(VIEW, lattice), lattice=lattice)
+    assert block.corners[:, 2].min() == pytest.approx(0.0)
+    assert cone.corners[:, 2].min() == pytest.approx(0.0)
+    assert ball.corners[:, 2].min() == pytest.approx(block.corners[:, 2].max())
+    foot = VIEW.project(block.foot)
     assert 0.3 * 640 < foot[0] < 0.7 * 640
     assert 0.45 * 480 < foot[1] < 0.85 * 480
 
@@ -26,27 +36,78 @@ def test_the_demo_stands_on_the_ground_in_the_lower_middle_of_the_picture(lattic
 @pytest.mark.parametrize("size", [0.05, 0.4, 1.0])
 def test_the_demo_has_about_the_same_size_in_the_picture_for_any_slab(size):
     lattice = replace(STACK, spacing_x=size, spacing_y=size)
-    view = View(CAMERA, POSE)
-    block = demo_staging(view, lattice).solids_on(lattice)[0]
-    height = np.ptp(view.project(corners(block))[:, 1])
+    block = staged(*demo_objects(VIEW, lattice), lattice=lattice)[0]
+    height = np.ptp(VIEW.project(block.corners)[:, 1])
     assert 480 / 12 < height < 480 / 2.5
-    steps = block.size[0] / size
+    steps = np.ptp(block.corners[:, 0]) / size
     assert min(abs(steps - round(steps)), abs(1 / steps - round(1 / steps))) < 1e-9
 
 
 def test_where_no_paving_was_seen_in_the_middle_the_demo_stands_at_the_origin():
     aside = View(CAMERA, looking([-0.6, -2.6, 1.6], [-6.0, 0.3, 0.0]))
-    assert demo_staging(aside, replace(STACK, extent=0.2 * STACK.extent)).slab == (0, 0)
+    place = demo_objects(aside, replace(STACK, extent=0.2 * STACK.extent))[0].place
+    assert (place.i, place.j) == (0, 0)
 
 
-def test_the_sun_stands_behind_the_camera_and_shadows_fall_away_from_it():
-    view = View(CAMERA, POSE)
-    staging = demo_staging(view, STACK)
-    light = staging.light
-    assert np.linalg.norm(light.to_sun) == pytest.approx(1.0)
-    assert light.to_sun @ POSE.R[2] < 0
-    assert light.to_sun @ POSE.R[0] < 0
-    block = staging.solids_on(STACK)[0]
-    shadow = shadow_corners(block, light)
-    assert np.abs(shadow[:, 2]).max() < 1e-12
-    assert (shadow.mean(0) - block.centre) @ light.to_sun < 0
+@pytest.mark.parametrize("camera", [CAMERA, distorted()], ids=["pinhole", "lens"])
+@settings(deadline=None, derandomize=True, max_examples=25)
+@given(u=st.floats(0, 639), v=st.floats(200, 479))
+def test_what_is_put_under_a_pixel_shows_at_that_pixel(camera, u, v):
+    view = View(camera, POSE)
+    (solid,) = staged(Object("ball", BALL, UnderPixel(u, v)), view=view)
+    assert view.camera.project(POSE.apply(solid.foot)) == pytest.approx([u, v], abs=1e-6)
+    assert solid.foot[2] == 0
+
+
+def test_a_place_on_a_slab_is_its_centre_moved_and_the_object_turned():
+    box = Box((0.4, 0.1, 0.2))
+    (solid,) = staged(
+        Object("box", box, OnSlab(1, 2, (0.05, -0.02)), turn_deg=90.0, lift_m=0.3), lattice=RUNNING
+    )
+    expected = slab_centre(RUNNING, 1, 2) + np.array([0.05, -0.02])
+    assert solid.foot == pytest.approx([*expected, 0.3])
+    assert np.ptp(solid.corners, axis=0) == pytest.approx([0.1, 0.4, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        (OnSlab(200, 3), r"ball: slab \(200, 3\) lies outside the picture.*slabs with i from -?\d+ to"),
+        (OnGround(0.0, -9.0), r"ball: ground point \(0, -9\) is behind the camera"),
+        (UnderPixel(320.0, 5.0), "at or above the horizon"),
+        (UnderPixel(700.0, 300.0), r"outside the photo of 640 x 480"),
+    ],
+)
+def test_what_cannot_be_seen_is_refused_by_name(place, words):
+    level = View(CAMERA, looking([-0.6, -2.6, 1.6], [0.2, 6.0, 0.6]))
+    with pytest.raises(InputError, match=words):
+        staged(Object("ball", BALL, place), view=level)
+
+
+def test_a_box_around_the_camera_is_refused():
+    with pytest.raises(InputError, match="camera stands inside"):
+        staged(Object("house", Box((8.0, 8.0, 3.0)), OnGround(-0.6, -2.6)))
+
+
+@settings(deadline=None, derandomize=True, max_examples=30)
+@given(st.floats(-360, 360), st.floats(5, 90), st.floats(0.02, 1))
+def test_sun_and_sky_together_give_1_on_level_ground(azimuth, elevation, sky):
+    lamps = lamps_for(Light((azimuth, elevation), sky), VIEW, 1.0)
+    assert sum(lamps.on_ground) == pytest.approx(1.0)
+    assert lamps.on_ground[1] == pytest.approx(sky)
+    assert np.linalg.norm(lamps.to_sky, axis=1) == pytest.approx(np.ones(len(lamps.to_sky)))
+    assert np.rad2deg(np.arcsin(lamps.to_sun[2])) == pytest.approx(elevation)
+
+
+def test_the_default_sun_stands_behind_the_cameras_left_shoulder():
+    to_sun = lamps_for(Light(), VIEW, 1.0).to_sun
+    assert to_sun @ POSE.R[2] < 0
+    assert to_sun @ POSE.R[0] < 0
+
+
+def test_the_exposure_follows_the_photo():
+    dark, light = (np.full((480, 640, 3), level, np.uint8) for level in (90, 170))
+    low, high = (judged_exposure(photo, VIEW, STACK) for photo in (dark, light))
+    # Linear light of 8-bit levels 90 and 170, over half of it thrown back.
+    assert low == pytest.approx(2 * 0.1022, rel=0.02)
+    assert high == pytest.approx(2 * 0.4020, rel=0.02)

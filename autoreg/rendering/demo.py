@@ -1,0 +1,40 @@
+"""The objects that show a first user that it works."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from autoreg.lattice import Lattice
+from autoreg.layout import slab_at, slab_centre, slab_side_x, was_seen
+from autoreg.rendering.objects import Box, Cone, Material, Object, OnSlab, Sphere, colour
+from autoreg.view import View
+
+
+def demo_objects(view: View, lattice: Lattice) -> tuple[Object, ...]:
+    """A block with a ball on it near the middle of the picture, and a small cone beside it.
+
+    The block is as long as a whole number of slabs, or that part of one, that makes it about a seventh
+    of the picture high.
+    """
+    # A little below the middle, where the ground is; slab (0, 0) if no paving was seen there.
+    wish = view.ground_under(np.array([0.5 * view.camera.width, 0.65 * view.camera.height]))
+    i, j = slab_at(lattice, wish) if np.isfinite(wish).all() and was_seen(lattice, wish) else (0, 0)
+    short = min(slab_side_x(lattice), lattice.spacing_y)
+    depth = view.cam_from_ground.apply(np.append(slab_centre(lattice, i, j), 0.0))[2]
+    wanted = view.camera.height / 7 * max(float(depth), 0.1 * abs(view.eye[2])) / view.camera.fy
+    side = short * round(wanted / short) if wanted > short else short / round(short / wanted)
+    ball = 0.36 * side
+    # Beside the block on the picture's right, where a default sun throws the shadow behind it.
+    right = view.cam_from_ground.R[0, :2] / np.linalg.norm(view.cam_from_ground.R[0, :2])
+    beside = tuple(float(v) for v in 1.15 * side * right)
+    place = OnSlab(i, j)
+    return (
+        Object("block", Box((side, side, side)), place, Material(colour("#c8502d"))),
+        Object("ball", Sphere(ball), place, Material(colour("#f2f0ea"), finish="Glossy"), lift_m=side),
+        Object(
+            "cone",
+            Cone(0.3 * side, 0.8 * side),
+            OnSlab(i, j, (beside[0], beside[1])),
+            Material(colour("#2f6f9f")),
+        ),
+    )

@@ -1,0 +1,163 @@
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from handmade import CAMERA, ROWS, RUNNING, STACK, alignment, distorted, photo_for
+from PIL import Image
+from typer.testing import CliRunner
+
+from autoreg import render_job
+from autoreg.alignment_file import read_alignment
+from autoreg.cli import app
+from autoreg.errors import InputError, RenderError
+from autoreg.options import parse_lens, parse_sun
+from autoreg.report import aligned_report, report_text
+
+BALL = '[[object]]\nshape = "sphere"\nradius = 0.2\nslab = [0, 0]\n'
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A photo, its alignment in out/, and a scene."""
+    monkeypatch.chdir(tmp_path)
+    cv2.imwrite("photo.png", photo_for(CAMERA))
+    Path("out").mkdir()
+    Path("out/alignment.json").write_text(report_text(aligned_report(Path("photo.png"), alignment(), None)))
+    Path("scene.toml").write_text(BALL)
+    return tmp_path
+
+
+def run(*arguments):
+    done = CliRunner().invoke(
+        app, ["render", "out/alignment.json", "--engine", "preview", *map(str, arguments)]
+    )
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done
+
+
+@pytest.mark.parametrize("lattice", [STACK, RUNNING, ROWS], ids=["stack", "running", "rows"])
+def test_an_alignment_is_read_back_as_it_was_written(tmp_path, lattice):
+    found = alignment(lattice, distorted())
+    path = tmp_path / "alignment.json"
+    text = report_text(aligned_report(Path("x y.jpg"), found, None))
+    path.write_text(text)
+    saved = read_alignment(path)
+    assert report_text(aligned_report(saved.photo, saved.alignment, None)) == text
+    assert saved.alignment.camera.camera == found.camera.camera
+    assert np.array_equal(saved.alignment.pose.cam_from_ground.R, found.pose.cam_from_ground.R)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "no JSON"),
+        ("[]", "no alignment.json"),
+        ('{"schema_version": 9}', "schema_version 9"),
+        ('{"schema_version": 1, "status": "refused", "reason": {"message": "gravel"}}', "refused: gravel"),
+        ('{"schema_version": 1, "status": "aligned"}', "damaged"),
+    ],
+)
+def test_what_is_no_alignment_is_said(tmp_path, text, words):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_alignment(tmp_path / "a.json")
+
+
+def test_render_writes_the_scene_and_two_pictures_and_says_so_in_the_report(folder):
+    done = run("--scene", "scene.toml", "--sun", "200,40")
+    assert done.exit_code == 0, done.stderr
+    names = {p.name for p in Path("out").iterdir()}
+    assert names == {"alignment.json", "scene.pov", "scene-photo.png", "render.png", "composite.png"}
+    report = json.loads(Path("out/alignment.json").read_text())
+    assert report["render"]["engine"] == "preview"
+    assert report["render"]["check"]["rms_px"] < 0.02
+    assert report["pose"]["R"] == alignment().pose.cam_from_ground.R.tolist()
+    layer, composite = cv2.imread("out/render.png", cv2.IMREAD_UNCHANGED), cv2.imread("out/composite.png")
+    clear = layer[..., 3] == 0
+    assert (composite[clear] == photo_for()[clear]).all()
+    assert (~clear).sum() > 2000
+
+
+def test_an_empty_scene_leaves_the_photo_bit_for_bit(folder):
+    Path("scene.toml").write_text("")
+    assert run("--scene", "scene.toml").exit_code == 0
+    assert (cv2.imread("out/composite.png") == photo_for()).all()
+
+
+def test_lines_alone_and_the_demo_besides_a_scene(folder):
+    Path("scene.toml").write_text("")
+    for option in ("--lines", "--demo-object"):
+        assert run("--scene", "scene.toml", option).exit_code == 0
+        assert (cv2.imread("out/composite.png") != photo_for()).any(-1).sum() > 2000
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--scene", "missing.toml"],
+        ["--scene", "bad.toml"],
+        ["--scene", "far.toml"],
+        ["--sun", "here"],
+        ["--sun", "10,-4"],
+        ["--dof", "0"],
+        ["--dof"],
+        ["--photo", "small.png"],
+        ["--photo", "missing.png"],
+        ["--timeout", "-1"],
+    ],
+)
+def test_a_mistake_exits_2_in_words_and_changes_nothing(folder, arguments):
+    Path("bad.toml").write_text("[[object]]\nshape = 3\n")
+    Path("far.toml").write_text(BALL.replace("[0, 0]", "[900, 0]"))
+    cv2.imwrite("small.png", photo_for()[:200])
+    before = {p.name: p.read_bytes() for p in Path("out").iterdir()}
+    done = run(*arguments)
+    assert done.exit_code == 2, done.stderr
+    assert len(done.stderr) > 20
+    assert {p.name: p.read_bytes() for p in Path("out").iterdir()} == before
+
+
+def test_a_failed_render_exits_4_and_leaves_no_picture_of_an_earlier_scene(folder, monkeypatch):
+    assert run("--scene", "scene.toml").exit_code == 0
+
+    def fail(*_, **__):
+        raise RenderError("no luck")
+
+    monkeypatch.setattr(render_job, "render", fail)
+    done = run("--scene", "scene.toml")
+    assert done.exit_code == 4
+    assert "no luck" in done.stderr
+    assert not Path("out/composite.png").exists()
+    assert json.loads(Path("out/alignment.json").read_text())["render"] is None
+
+
+def test_the_photo_is_found_from_elsewhere_and_another_folder_gets_everything(folder, monkeypatch):
+    (folder / "deep").mkdir()
+    monkeypatch.chdir(folder / "deep")
+    done = CliRunner().invoke(
+        app, ["render", "../out/alignment.json", "-o", "-new é", "--engine", "preview", "--demo-object"]
+    )
+    assert done.exit_code == 0, done.stderr
+    assert (folder / "deep" / "-new é" / "alignment.json").is_file()
+    assert json.loads((folder / "out" / "alignment.json").read_text())["render"] is None
+
+
+def test_the_lens_comes_from_exif_unless_it_is_given(folder):
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update({0x829D: 4.0, 0x920A: 24.0})
+    Image.fromarray(photo_for()[..., ::-1]).save("photo.png", "JPEG", exif=exif)
+    for options, aperture in ((["--dof"], 0.006), (["--dof", "2"], 0.012), (["--dof", "2,50"], 0.025)):
+        done = run("--scene", "scene.toml", *options)
+        assert done.exit_code == 0, done.stderr
+        assert f"#declare Aperture = {aperture!r};" in Path("out/scene.pov").read_text()
+        assert "no depth of field" in done.stderr
+
+
+def test_option_values_are_read():
+    assert parse_sun(" 200, 40") == (200.0, 40.0)
+    assert parse_lens("exif") == (None, None)
+    assert parse_lens("2.8") == (2.8, None)
+    assert parse_lens("2.8,24") == (2.8, 24.0)
