@@ -15,13 +15,16 @@ from autoreg.stations import ALONG_X, ALONG_Y, Stations
 WIDTHS = np.geomspace(0.004, 0.16, 14)
 BLURS = np.array([0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2])
 # ... and the factors that are tried of what is known.
-NEARBY = np.array([0.6, 0.8, 1.0, 1.25, 1.6])
+NEARBY = np.array([0.72, 0.86, 1.0, 1.16, 1.4])
+# Looks that change by less have settled.
+SETTLED = 0.03
 # Joint width, in slab sides, where tiles meet without a joint.
 NO_JOINT = 0.001
 # Joints that are neither dark nor light are not wider than this.
 MOST_NEUTRAL = 0.05
-# A strip has one tone more than a step to fit noise with: what that buys, in mean log variance.
-NO_JOINT_BONUS = 0.05
+# A strip has one tone more than a step to fit noise with, of about ten independent values: what that buys, in
+# mean log variance.
+NO_JOINT_BONUS = 0.1
 # Stations of either family that tell the looks.
 SAMPLE = 90
 
@@ -38,6 +41,11 @@ class Strip:
     blur_px: float
     polarity: tuple[int, int] = (0, 0)
     polarity_known: bool = False
+
+    def like(self, other: Strip) -> bool:
+        """Whether widths and blur are the same but for a few percent."""
+        mine, theirs = ((*strip.width, strip.blur_px) for strip in (self, other))
+        return bool(np.allclose(mine, theirs, rtol=SETTLED))
 
 
 def width_px_of(strip: Strip, stations: Stations, profiles: Profiles) -> Float[np.ndarray, " n"]:
@@ -135,14 +143,10 @@ def estimate_strip(
         width[family] = _lowest(np.log(options), np.array(costs))
         if strip.polarity[family] == 0:
             # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
-            # The two ideas are each given their own offsets before they are compared.
+            # The two ideas are each given their own offsets and blur before they are compared.
             ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
             some = profiles.take(rows)
-            misfits: list[float] = []
-            for idea in ideas:
-                wide = idea * some.px_per_unit
-                own = fit_offsets(some, offsets.offset_px[rows], wide, blur, iterations=4)
-                misfits.append(strip_misfit(some, np.arange(len(rows)), own.offset_px, wide, blur))
+            misfits = [_idea_misfit(some, offsets.offset_px[rows], idea, blur) for idea in ideas]
             if misfits[1] < misfits[0] + NO_JOINT_BONUS:
                 width[family] = NO_JOINT * across
     rows = np.concatenate(samples)
@@ -151,6 +155,16 @@ def estimate_strip(
     costs = [strip_misfit(profiles, rows, offsets.offset_px, width_px, float(b)) for b in blurs]
     blur = _lowest(np.log(blurs), np.array(costs))
     return replace(strip, width=(width[0], width[1]), blur_px=blur)
+
+
+def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: float) -> float:
+    """Misfit of a joint width with the blur that suits it best: a blurred step is like a narrow strip."""
+    width_px, rows = width * profiles.px_per_unit, np.arange(len(start_px))
+    misfits: list[float] = []
+    for wider in (1.0, 1.3, 1.7):
+        own = fit_offsets(profiles, start_px, width_px, wider * blur, iterations=4)
+        misfits.append(strip_misfit(profiles, rows, own.offset_px, width_px, wider * blur))
+    return min(misfits)
 
 
 def _lowest(log_at: np.ndarray, cost: np.ndarray) -> float:

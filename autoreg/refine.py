@@ -158,9 +158,9 @@ def refine_until_still(
         fit = refine(picture, *before, free=free, search=search, reaches=(reach,), strip=strip, field=field)
         if fit is None:
             return None
+        settled = strip is not None and fit.strip.like(strip)
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
-        moved = _motion_px(fit, *before)
-        if not search and moved < still_px:
+        if not search and settled and _motion_px(fit, *before) < still_px:
             break
         search = 0.0
     return fit
