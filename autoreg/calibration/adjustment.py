@@ -1,0 +1,315 @@
+"""Bundle adjustment: one camera, one pose per view and, if asked, one bent sheet, that explain all corners.
+
+The unknowns common to all views are the intrinsics and the sheet's shape; each view has a pose of its own,
+which is eliminated (the Schur complement), so a view counts through a small matrix and vector of its own.
+Sums of these give the covariance, the fit without a view, and the fit to a part of the views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from autoreg.calibration.board import Board, BoardView
+from autoreg.calibration.models import COUNT, Intrinsics
+
+# Corners further off than this many standard deviations pull with a constant force only (Huber).
+_HUBER_SIGMAS = 3.5
+_MOST_STEPS = 60
+# A step that would lower the cost by less than this part has arrived.
+_CONVERGED = 1e-10
+_SHAPE_TERMS = 3
+
+Outcome = Literal["converged", "stalled", "diverged"]
+
+
+@dataclass(frozen=True)
+class Data:
+    """The corners of all views, padded to the same number per view; padding has weight 0."""
+
+    names: tuple[str, ...]
+    places: Float[np.ndarray, "v n 3"]
+    basis: Float[np.ndarray, "v n 3"]
+    px: Float[np.ndarray, "v n 2"]
+    present: Bool[np.ndarray, "v n"]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def part(self, which: Sequence[int] | np.ndarray) -> Data:
+        """The data of some views."""
+        which = np.asarray(which, int)
+        names = tuple(self.names[i] for i in which)
+        return Data(names, self.places[which], self.basis[which], self.px[which], self.present[which])
+
+
+@dataclass(frozen=True)
+class State:
+    """Values of the unknowns: intrinsics, poses as (rotation vector, translation), heights of the bow."""
+
+    intrinsics: Intrinsics
+    poses: Float[np.ndarray, "v 6"]
+    shape: Float[np.ndarray, "3"]
+
+    def part(self, which: Sequence[int] | np.ndarray) -> State:
+        """The state of some views."""
+        return replace(self, poses=self.poses[np.asarray(which, int)])
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """Which of the common unknowns may move.
+
+    Attributes:
+        intrinsics: which of the intrinsics.
+        shape: whether the sheet may be bent, the same in every view.
+        bends: whether the sheet may be bent anew in every view.
+    """
+
+    intrinsics: Bool[np.ndarray, "12"]
+    shape: bool = False
+    bends: bool = False
+
+    @property
+    def common(self) -> Bool[np.ndarray, "15"]:
+        """Which of the common unknowns, intrinsics and shape, are free."""
+        return np.concatenate([self.intrinsics, np.full(_SHAPE_TERMS, self.shape)])
+
+
+@dataclass(frozen=True)
+class Adjustment:
+    """Where an adjustment ended.
+
+    Attributes:
+        outcome: converged; stalled: the steps were used up; diverged: the start has no finite cost.
+        state: the unknowns.
+        residuals_px: measured minus projected, 0 where a view has no such corner.
+        present: which of them are corners.
+        weights: by which robust fitting counted each corner, at most 1.
+        information: each view's matrix for the free common unknowns, poses eliminated, in pixels^-2.
+        gradients: each view's part of the gradient there, likewise.
+        free: which common unknowns were free.
+        per_view: unknowns of each view's own.
+        bends: each view's own bow, if it might have one.
+    """
+
+    outcome: Outcome
+    state: State
+    residuals_px: Float[np.ndarray, "v n 2"]
+    present: Bool[np.ndarray, "v n"]
+    weights: Float[np.ndarray, "v n"]
+    information: Float[np.ndarray, "v f f"]
+    gradients: Float[np.ndarray, "v f"]
+    free: Bool[np.ndarray, "15"]
+    per_view: int
+    bends: Float[np.ndarray, "v 3"]
+
+    @property
+    def views(self) -> int:
+        """Number of views."""
+        return len(self.present)
+
+    @cached_property
+    def spare(self) -> int:
+        """Measured coordinates beyond the number of unknowns."""
+        return int(2 * self.present.sum() - self.per_view * self.views - self.free.sum())
+
+    @cached_property
+    def sigma_px(self) -> float:
+        """Standard deviation of a corner's coordinate, estimated from what is left over."""
+        left = float((self.weights[..., None] * self.residuals_px**2).sum())
+        return float(np.sqrt(left / max(self.spare, 1)))
+
+    @cached_property
+    def view_rms_px(self) -> Float[np.ndarray, " v"]:
+        """Root mean square of the distances between measured and projected corners, per view."""
+        squares = (self.residuals_px**2).sum(-1)
+        return np.sqrt(squares.sum(1) / self.present.sum(1))
+
+    @cached_property
+    def rms_px(self) -> float:
+        """OpenCV's RMS: the root mean square distance over all corners of all views."""
+        return float(np.sqrt((self.residuals_px**2).sum() / self.present.sum()))
+
+    @cached_property
+    def mean_l2_over_n_px(self) -> float:
+        """The mean over views of |residuals|_2 / N, which OpenCV's tutorial calls the mean error.
+
+        It shrinks with the number N of corners: it is about RMS / sqrt(N), and no distance in the picture.
+        """
+        counts = self.present.sum(1)
+        return float(np.mean(np.sqrt((self.residuals_px**2).sum((1, 2))) / counts))
+
+
+def data_of(views: Sequence[BoardView], board: Board) -> Data:
+    """The adjustment's data of views of a board."""
+    most = max(len(view.ids) for view in views)
+    count = len(views)
+    ids = np.zeros((count, most), int)
+    px = np.zeros((count, most, 2))
+    present = np.zeros((count, most), bool)
+    for k, view in enumerate(views):
+        n = len(view.ids)
+        ids[k, :n], px[k, :n], present[k, :n] = view.ids, view.corners_px, True
+        ids[k, n:] = view.ids[0]
+    reach = (max(board.columns, board.rows) - 1) / 2 * board.square
+    u, v = board.centred.T
+    basis = reach * np.column_stack([u * u, u * v, v * v])
+    names = tuple(view.name for view in views)
+    return Data(names, board.points[ids], basis[ids], px, present)
+
+
+def adjust(data: Data, start: State, freedom: Freedom, *, steps: int = _MOST_STEPS) -> Adjustment:
+    """The adjustment that lays the projected corners on the measured ones, by Levenberg and Marquardt.
+
+    The residuals are counted by Huber's weights, their scale being estimated from the median.
+
+    Args:
+        data: the corners.
+        start: first values; good to a part of the picture's size.
+        freedom: what may move besides the poses.
+        steps: at most so many steps.
+    """
+    problem = _Problem(data, freedom)
+    state, bends = start, np.zeros((len(data), _SHAPE_TERMS))
+    linear = problem.linearise(state, bends)
+    damping, outcome = 1e-4, "stalled"
+    if not np.isfinite(linear.cost):
+        return problem.answer("diverged", state, bends, linear)
+    for _ in range(steps):
+        step, promised = linear.step(damping)
+        if promised <= _CONVERGED * linear.cost + 1e-14:
+            outcome = "converged"
+            break
+        tried_state, tried_bends = problem.moved(state, bends, step)
+        tried = problem.linearise(tried_state, tried_bends, linear.scale_px)
+        if np.isfinite(tried.cost) and tried.cost < linear.cost:
+            state, bends, damping = tried_state, tried_bends, max(damping / 10, 1e-12)
+            # The scale follows the residuals down, after which costs are counted anew.
+            linear = problem.linearise(state, bends)
+        else:
+            damping *= 10
+            if damping > 1e8:
+                outcome = "converged"  # what is left to gain is rounding
+                break
+    return problem.answer(outcome, state, bends, linear)
+
+
+def fit_poses(data: Data, state: State, *, steps: int = 12) -> Adjustment:
+    """The adjustment of the poses alone, intrinsics and shape as they are."""
+    return adjust(data, state, Freedom(np.zeros(COUNT, bool)), steps=steps)
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """The problem at one state: cost, normal matrices of each view, and what they came from."""
+
+    cost: float
+    scale_px: float
+    residuals: np.ndarray
+    weights: np.ndarray
+    Hcc: np.ndarray
+    Hcp: np.ndarray
+    Hpp: np.ndarray
+    gc: np.ndarray
+    gp: np.ndarray
+
+    def reduced(self, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Each view's information and gradient with its pose eliminated, and the eliminating matrix."""
+        diagonal = np.einsum("vii->vi", self.Hpp)
+        Hpp = self.Hpp + (damping + 1e-13) * diagonal[:, :, None] * np.eye(self.Hpp.shape[-1])
+        eliminate = np.linalg.solve(Hpp, np.concatenate([self.Hcp.transpose(0, 2, 1), self.gp[..., None]], -1))
+        from_common, from_own = eliminate[..., :-1], eliminate[..., -1:]
+        return (
+            self.Hcc - self.Hcp @ from_common,
+            self.gc - (self.Hcp @ from_own)[..., 0],
+            eliminate,
+        )
+
+    def step(self, damping: float) -> tuple[tuple[np.ndarray, np.ndarray], float]:
+        """The damped step of common and own unknowns, and the decrease of the cost that it promises."""
+        information, gradients, eliminate = self.reduced(damping)
+        total, gradient = information.sum(0), gradients.sum(0)
+        size = self.Hcc.sum(0).diagonal()
+        unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+        scaled = total * unit[:, None] * unit + damping * np.eye(len(unit)) + 1e-15 * np.eye(len(unit))
+        common = -unit * np.linalg.lstsq(scaled, unit * gradient, rcond=1e-14)[0]
+        own = -(eliminate[..., :-1] @ common) - eliminate[..., -1]
+        promised = -0.5 * (float(gradient @ common) - float(np.einsum("vi,vi->", self.gp, eliminate[..., -1])))
+        return (common, own), promised
+
+
+class _Problem:
+    def __init__(self, data: Data, freedom: Freedom) -> None:
+        self._data, self._freedom = data, freedom
+        self._free = freedom.common
+        self._own = 6 + (_SHAPE_TERMS if freedom.bends else 0)
+
+    def linearise(self, state: State, bends: np.ndarray, scale_px: float | None = None) -> _Linear:
+        data = self._data
+        views, most = data.present.shape
+        projected = np.empty((views, most, 2))
+        J = np.empty((views, most, 2, 6 + COUNT + _SHAPE_TERMS))
+        for k in range(views):
+            projected[k], J[k] = _project(data.places[k], data.basis[k], state, bends[k], k)
+        residuals = np.where(data.present[..., None], projected - data.px, 0.0)
+        distance = np.sqrt((residuals**2).sum(-1))
+        if scale_px is None:
+            scale_px = _scale(distance[data.present])
+        limit = _HUBER_SIGMAS * scale_px
+        weights = np.where(distance > limit, limit / np.maximum(distance, 1e-300), 1.0) * data.present
+        cost = float(np.where(distance > limit, limit * (distance - limit / 2), distance**2 / 2).sum())
+        common = J[..., 6:][..., self._free]
+        own = np.concatenate([J[..., :6], J[..., 6 + COUNT :]], -1)[..., : self._own]
+        flat = (views, 2 * most)
+        A, B, r = common.reshape(*flat, -1), own.reshape(*flat, -1), residuals.reshape(flat)
+        w = np.repeat(weights, 2, axis=1)
+        Aw, Bw = (A * w[..., None]).transpose(0, 2, 1), (B * w[..., None]).transpose(0, 2, 1)
+        return _Linear(
+            cost, scale_px, residuals, weights, Aw @ A, Aw @ B, Bw @ B,
+            (Aw @ r[..., None])[..., 0], (Bw @ r[..., None])[..., 0],
+        )  # fmt: skip
+
+    def moved(
+        self, state: State, bends: np.ndarray, step: tuple[np.ndarray, np.ndarray]
+    ) -> tuple[State, np.ndarray]:
+        common = np.zeros(COUNT + _SHAPE_TERMS)
+        common[self._free] = step[0]
+        moved = State(
+            state.intrinsics + common[:COUNT], state.poses + step[1][:, :6], state.shape + common[COUNT:]
+        )
+        return moved, bends + step[1][:, 6:] if self._freedom.bends else bends
+
+    def answer(self, outcome: Outcome, state: State, bends: np.ndarray, linear: _Linear) -> Adjustment:
+        information, gradients, _ = linear.reduced()
+        return Adjustment(
+            outcome, state, -linear.residuals, self._data.present, linear.weights,
+            information, gradients, self._free, self._own, bends,
+        )  # fmt: skip
+
+
+def _project(
+    places: np.ndarray, basis: np.ndarray, state: State, bend: np.ndarray, view: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of a view's corners, and their derivatives by pose, intrinsics and bow."""
+    pose = state.poses[view]
+    points = places.copy()
+    points[:, 2] += basis @ (state.shape + bend)
+    fx, fy, cx, cy = state.intrinsics[:4]
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    px, J = cv2.projectPoints(points, pose[:3], pose[3:], K, state.intrinsics[4:])[:2]
+    J = np.asarray(J).reshape(len(points), 2, -1)[..., : 6 + COUNT]
+    # A point moved along the sheet's normal moves in the camera as the sheet moved along its normal would.
+    along_normal = J[..., 3:6] @ cv2.Rodrigues(pose[:3])[0][:, 2]
+    return np.asarray(px).reshape(-1, 2), np.concatenate([J, along_normal[..., None] * basis[:, None, :]], -1)
+
+
+def _scale(distance: np.ndarray) -> float:
+    """Standard deviation of a coordinate by the median distance, which is 1.1774 of it in two dimensions."""
+    return max(float(np.median(distance)) / 1.1774, 1e-9) if len(distance) else 1.0

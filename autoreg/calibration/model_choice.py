@@ -1,0 +1,99 @@
+"""Which lens model? The one that foretells views best that it was not fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from autoreg.calibration.adjustment import Adjustment, Data, Freedom, State, adjust, fit_poses
+from autoreg.calibration.models import LENS_MODELS, LensModel, camera_of
+
+_FOLDS = 10
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A lens model fitted to all views, and how well it foretells views that it was not fitted to.
+
+    Attributes:
+        model: the model.
+        fit: its fit to all views.
+        held_out_px: per view, the RMS of its corners under the intrinsics fitted without it.
+        folds_inside: whether its distortion folds back within the picture, so that it cannot be used.
+    """
+
+    model: LensModel
+    fit: Adjustment
+    held_out_px: Float[np.ndarray, " v"]
+    folds_inside: bool
+
+    @property
+    def score_px(self) -> float:
+        """Root of the mean over views of the held-out mean square, counted as robustly as the fit."""
+        return float(np.sqrt(np.mean(self.held_out_px**2)))
+
+
+def try_models(
+    data: Data, start: State, width: int, height: int, *, shape: bool = False
+) -> tuple[Trial, ...]:
+    """Every lens model's trial, simplest first."""
+    groups = folds(len(data))
+    trials: list[Trial] = []
+    for model in LENS_MODELS:
+        state = replace(start, intrinsics=np.where(model.free, start.intrinsics, 0.0))
+        freedom = Freedom(model.free, shape=shape)
+        fit = adjust(data, state, freedom)
+        if fit.spare < 2 * fit.free.sum() or fit.outcome == "diverged":
+            continue
+        held_out = np.zeros(len(data))
+        for group in groups:
+            held_out[group] = _foretold(data, fit, freedom, group)
+        trials.append(Trial(model, fit, held_out, folds_inside(fit.state, width, height)))
+    return tuple(trials)
+
+
+def folds(count: int) -> tuple[Bool[np.ndarray, " v"], ...]:
+    """Views held out together: each of a few, or every tenth of many."""
+    which = np.arange(count) % min(count, _FOLDS)
+    return tuple(which == k for k in range(min(count, _FOLDS)))
+
+
+def folds_inside(state: State, width: int, height: int) -> bool:
+    """Whether a pixel of the picture has no ray, because the distortion folds back before it."""
+    camera = camera_of(state.intrinsics, width, height)
+    u, v = np.linspace(0, width - 1, 33), np.linspace(0, height - 1, 33)
+    outline = np.concatenate(
+        [np.column_stack([u, 0 * u + e]) for e in (0, height - 1)]
+        + [np.column_stack([0 * v + e, v]) for e in (0, width - 1)]
+    )
+    return bool(np.isnan(camera.normalise(outline)).any())
+
+
+def _foretold(data: Data, fit: Adjustment, freedom: Freedom, group: Bool[np.ndarray, " v"]) -> np.ndarray:
+    """RMS of each view of a group when only its pose is fitted, the rest being fitted to the other views."""
+    others, these = np.flatnonzero(~group), np.flatnonzero(group)
+    without = adjust(data.part(others), fit.state.part(others), freedom, steps=8)
+    state = State(without.state.intrinsics, fit.state.poses[these], without.state.shape)
+    posed = fit_poses(data.part(these), state, steps=8)
+    squares = (posed.weights[..., None] * posed.residuals_px**2).sum((1, 2))
+    return np.sqrt(squares / posed.present.sum(1))
+
+
+def chosen(trials: tuple[Trial, ...]) -> Trial:
+    """The trial whose model foretells held-out views best; a simpler one if the difference is no difference.
+
+    A model is passed over for a simpler one if its gain over it, view by view, is less than one standard
+    error of that gain.
+    """
+    usable = [trial for trial in trials if not trial.folds_inside] or list(trials)
+    best = min(usable, key=lambda trial: trial.score_px)
+    for trial in usable:
+        if trial is best:
+            return best
+        gain = trial.held_out_px**2 - best.held_out_px**2
+        error = float(np.std(gain, ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
+        if gain.mean() < 0.0 * error:
+            return trial
+    return best
