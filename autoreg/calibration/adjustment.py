@@ -14,7 +14,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from autoreg.calibration.board import Board, BoardView
 from autoreg.calibration.models import COUNT, Intrinsics
@@ -24,20 +24,30 @@ _HUBER_SIGMAS = 3.5
 _MOST_STEPS = 60
 # A step that would lower the cost by less than this part has arrived.
 _CONVERGED = 1e-10
-_SHAPE_TERMS = 3
+_POSE = 6
 
 Outcome = Literal["converged", "stalled", "diverged"]
 
 
 @dataclass(frozen=True)
 class Data:
-    """The corners of all views, padded to the same number per view; padding has weight 0."""
+    """The corners of all views, padded to the same number per view; padding has weight 0.
+
+    Attributes:
+        names: the views' names.
+        places: the corners' places on the flat sheet.
+        basis: heights of the corners per unit of each way in which the sheet may be bent.
+        px: where the corners were measured.
+        present: which entries are corners.
+        ids: which of the board's corners they are.
+    """
 
     names: tuple[str, ...]
     places: Float[np.ndarray, "v n 3"]
-    basis: Float[np.ndarray, "v n 3"]
+    basis: Float[np.ndarray, "v n s"]
     px: Float[np.ndarray, "v n 2"]
     present: Bool[np.ndarray, "v n"]
+    ids: Int[np.ndarray, "v n"]
 
     def __len__(self) -> int:
         return len(self.names)
@@ -46,16 +56,17 @@ class Data:
         """The data of some views."""
         which = np.asarray(which, int)
         names = tuple(self.names[i] for i in which)
-        return Data(names, self.places[which], self.basis[which], self.px[which], self.present[which])
+        arrays = (self.places, self.basis, self.px, self.present, self.ids)
+        return Data(names, *(array[which] for array in arrays))
 
 
 @dataclass(frozen=True)
 class State:
-    """Values of the unknowns: intrinsics, poses as (rotation vector, translation), heights of the bow."""
+    """Values of the unknowns: intrinsics, poses as (rotation vector, translation), the sheet's bend."""
 
     intrinsics: Intrinsics
     poses: Float[np.ndarray, "v 6"]
-    shape: Float[np.ndarray, "3"]
+    shape: Float[np.ndarray, " s"]
 
     def part(self, which: Sequence[int] | np.ndarray) -> State:
         """The state of some views."""
@@ -69,17 +80,10 @@ class Freedom:
     Attributes:
         intrinsics: which of the intrinsics.
         shape: whether the sheet may be bent, the same in every view.
-        bends: whether the sheet may be bent anew in every view.
     """
 
     intrinsics: Bool[np.ndarray, "12"]
     shape: bool = False
-    bends: bool = False
-
-    @property
-    def common(self) -> Bool[np.ndarray, "15"]:
-        """Which of the common unknowns, intrinsics and shape, are free."""
-        return np.concatenate([self.intrinsics, np.full(_SHAPE_TERMS, self.shape)])
 
 
 @dataclass(frozen=True)
@@ -94,9 +98,7 @@ class Adjustment:
         weights: by which robust fitting counted each corner, at most 1.
         information: each view's matrix for the free common unknowns, poses eliminated, in pixels^-2.
         gradients: each view's part of the gradient there, likewise.
-        free: which common unknowns were free.
-        per_view: unknowns of each view's own.
-        bends: each view's own bow, if it might have one.
+        free: which common unknowns were free: first the intrinsics, then the sheet's.
     """
 
     outcome: Outcome
@@ -106,9 +108,7 @@ class Adjustment:
     weights: Float[np.ndarray, "v n"]
     information: Float[np.ndarray, "v f f"]
     gradients: Float[np.ndarray, "v f"]
-    free: Bool[np.ndarray, "15"]
-    per_view: int
-    bends: Float[np.ndarray, "v 3"]
+    free: Bool[np.ndarray, " c"]
 
     @property
     def views(self) -> int:
@@ -118,7 +118,7 @@ class Adjustment:
     @cached_property
     def spare(self) -> int:
         """Measured coordinates beyond the number of unknowns."""
-        return int(2 * self.present.sum() - self.per_view * self.views - self.free.sum())
+        return int(2 * self.present.sum() - _POSE * self.views - self.free.sum())
 
     @cached_property
     def sigma_px(self) -> float:
@@ -158,11 +158,21 @@ def data_of(views: Sequence[BoardView], board: Board) -> Data:
         n = len(view.ids)
         ids[k, :n], px[k, :n], present[k, :n] = view.ids, view.corners_px, True
         ids[k, n:] = view.ids[0]
-    reach = (max(board.columns, board.rows) - 1) / 2 * board.square
-    u, v = board.centred.T
-    basis = reach * np.column_stack([u * u, u * v, v * v])
+    basis = bending(board, np.unique(ids))
     names = tuple(view.name for view in views)
-    return Data(names, board.points[ids], basis[ids], px, present)
+    return Data(names, board.points[ids], basis[ids], px, present, ids)
+
+
+def bending(board: Board, seen: Int[np.ndarray, " n"]) -> Float[np.ndarray, "corners s"]:
+    """Heights of the board's corners in every independent way of being off one plane, of unit length each.
+
+    A height at each corner, less what moving and tilting the sheet does. Corners that no view shows stay.
+    """
+    plane = np.column_stack([np.ones(len(seen)), board.centred[seen]])
+    complement = np.linalg.qr(plane, mode="complete")[0][:, plane.shape[1] :]
+    basis = np.zeros((board.corners, complement.shape[1]))
+    basis[seen] = board.square * complement
+    return basis
 
 
 def adjust(data: Data, start: State, freedom: Freedom, *, steps: int = _MOST_STEPS) -> Adjustment:
@@ -177,28 +187,28 @@ def adjust(data: Data, start: State, freedom: Freedom, *, steps: int = _MOST_STE
         steps: at most so many steps.
     """
     problem = _Problem(data, freedom)
-    state, bends = start, np.zeros((len(data), _SHAPE_TERMS))
-    linear = problem.linearise(state, bends)
+    state = start
+    linear = problem.linearise(state)
     damping, outcome = 1e-4, "stalled"
     if not np.isfinite(linear.cost):
-        return problem.answer("diverged", state, bends, linear)
+        return problem.answer("diverged", state, linear)
     for _ in range(steps):
         step, promised = linear.step(damping)
         if promised <= _CONVERGED * linear.cost + 1e-14:
             outcome = "converged"
             break
-        tried_state, tried_bends = problem.moved(state, bends, step)
-        tried = problem.linearise(tried_state, tried_bends, linear.scale_px)
+        tried_state = problem.moved(state, step)
+        tried = problem.linearise(tried_state, linear.scale_px)
         if np.isfinite(tried.cost) and tried.cost < linear.cost:
-            state, bends, damping = tried_state, tried_bends, max(damping / 10, 1e-12)
+            state, damping = tried_state, max(damping / 10, 1e-12)
             # The scale follows the residuals down, after which costs are counted anew.
-            linear = problem.linearise(state, bends)
+            linear = problem.linearise(state)
         else:
             damping *= 10
             if damping > 1e8:
                 outcome = "converged"  # what is left to gain is rounding
                 break
-    return problem.answer(outcome, state, bends, linear)
+    return problem.answer(outcome, state, linear)
 
 
 def fit_poses(data: Data, state: State, *, steps: int = 12) -> Adjustment:
@@ -246,18 +256,18 @@ class _Linear:
 
 
 class _Problem:
-    def __init__(self, data: Data, freedom: Freedom) -> None:
-        self._data, self._freedom = data, freedom
-        self._free = freedom.common
-        self._own = 6 + (_SHAPE_TERMS if freedom.bends else 0)
+    """The corners and what may move; evaluates the cost and its derivatives at a state."""
 
-    def linearise(self, state: State, bends: np.ndarray, scale_px: float | None = None) -> _Linear:
+    def __init__(self, data: Data, freedom: Freedom) -> None:
+        self._data = data
+        bent = np.full(data.basis.shape[-1] if freedom.shape else 0, True)
+        self._shaped = freedom.shape
+        self._free = np.concatenate([freedom.intrinsics, bent])
+
+    def linearise(self, state: State, scale_px: float | None = None) -> _Linear:
+        """The problem at a state; the scale of Huber's weights is estimated there if it is not given."""
         data = self._data
-        views, most = data.present.shape
-        projected = np.empty((views, most, 2))
-        J = np.empty((views, most, 2, 6 + COUNT + _SHAPE_TERMS))
-        for k in range(views):
-            projected[k], J[k] = _project(data.places[k], data.basis[k], state, bends[k], k)
+        projected, J = _projected(data, state, shaped=self._shaped)
         residuals = np.where(data.present[..., None], projected - data.px, 0.0)
         distance = np.sqrt((residuals**2).sum(-1))
         if scale_px is None:
@@ -265,49 +275,67 @@ class _Problem:
         limit = _HUBER_SIGMAS * scale_px
         weights = np.where(distance > limit, limit / np.maximum(distance, 1e-300), 1.0) * data.present
         cost = float(np.where(distance > limit, limit * (distance - limit / 2), distance**2 / 2).sum())
-        common = J[..., 6:][..., self._free]
-        own = np.concatenate([J[..., :6], J[..., 6 + COUNT :]], -1)[..., : self._own]
-        flat = (views, 2 * most)
-        A, B, r = common.reshape(*flat, -1), own.reshape(*flat, -1), residuals.reshape(flat)
-        w = np.repeat(weights, 2, axis=1)
-        Aw, Bw = (A * w[..., None]).transpose(0, 2, 1), (B * w[..., None]).transpose(0, 2, 1)
+        flat = (len(data), 2 * data.present.shape[1])
+        A, B = J[..., _POSE:][..., self._free].reshape(*flat, -1), J[..., :_POSE].reshape(*flat, -1)
+        r, w = residuals.reshape(*flat, 1), np.repeat(weights, 2, axis=1)[..., None]
+        Aw, Bw = (A * w).transpose(0, 2, 1), (B * w).transpose(0, 2, 1)
         return _Linear(
-            cost, scale_px, residuals, weights, Aw @ A, Aw @ B, Bw @ B,
-            (Aw @ r[..., None])[..., 0], (Bw @ r[..., None])[..., 0],
-        )  # fmt: skip
-
-    def moved(
-        self, state: State, bends: np.ndarray, step: tuple[np.ndarray, np.ndarray]
-    ) -> tuple[State, np.ndarray]:
-        common = np.zeros(COUNT + _SHAPE_TERMS)
-        common[self._free] = step[0]
-        moved = State(
-            state.intrinsics + common[:COUNT], state.poses + step[1][:, :6], state.shape + common[COUNT:]
+            cost=cost,
+            scale_px=scale_px,
+            residuals=residuals,
+            weights=weights,
+            Hcc=Aw @ A,
+            Hcp=Aw @ B,
+            Hpp=Bw @ B,
+            gc=(Aw @ r)[..., 0],
+            gp=(Bw @ r)[..., 0],
         )
-        return moved, bends + step[1][:, 6:] if self._freedom.bends else bends
 
-    def answer(self, outcome: Outcome, state: State, bends: np.ndarray, linear: _Linear) -> Adjustment:
+    def moved(self, state: State, step: tuple[np.ndarray, np.ndarray]) -> State:
+        """The state after a step."""
+        common = np.zeros(len(self._free))
+        common[self._free] = step[0]
+        shape = state.shape + common[COUNT:] if self._shaped else state.shape
+        return State(state.intrinsics + common[:COUNT], state.poses + step[1], shape)
+
+    def answer(self, outcome: Outcome, state: State, linear: _Linear) -> Adjustment:
+        """The adjustment that ends at a state."""
         information, gradients, _ = linear.reduced()
         return Adjustment(
-            outcome, state, -linear.residuals, self._data.present, linear.weights,
-            information, gradients, self._free, self._own, bends,
-        )  # fmt: skip
+            outcome=outcome,
+            state=state,
+            residuals_px=-linear.residuals,
+            present=self._data.present,
+            weights=linear.weights,
+            information=information,
+            gradients=gradients,
+            free=self._free,
+        )
 
 
-def _project(
-    places: np.ndarray, basis: np.ndarray, state: State, bend: np.ndarray, view: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of a view's corners, and their derivatives by pose, intrinsics and bow."""
-    pose = state.poses[view]
-    points = places.copy()
-    points[:, 2] += basis @ (state.shape + bend)
+def _projected(
+    data: Data, state: State, *, shaped: bool
+) -> tuple[Float[np.ndarray, "v n 2"], Float[np.ndarray, "v n 2 p"]]:
+    """Pixels of all corners, and their derivatives by pose, intrinsics and, if `shaped`, the sheet's bend."""
+    views, most = data.present.shape
+    px = np.empty((views, most, 2))
+    J = np.empty((views, most, 2, _POSE + COUNT + (data.basis.shape[-1] if shaped else 0)))
     fx, fy, cx, cy = state.intrinsics[:4]
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
-    px, J = cv2.projectPoints(points, pose[:3], pose[3:], K, state.intrinsics[4:])[:2]
-    J = np.asarray(J).reshape(len(points), 2, -1)[..., : 6 + COUNT]
-    # A point moved along the sheet's normal moves in the camera as the sheet moved along its normal would.
-    along_normal = J[..., 3:6] @ cv2.Rodrigues(pose[:3])[0][:, 2]
-    return np.asarray(px).reshape(-1, 2), np.concatenate([J, along_normal[..., None] * basis[:, None, :]], -1)
+    for k, pose in enumerate(state.poses):
+        points = data.places[k]
+        if state.shape.any():
+            points = points.copy()
+            points[:, 2] += data.basis[k] @ state.shape
+        image, by = cv2.projectPoints(points, pose[:3], pose[3:], K, state.intrinsics[4:])[:2]
+        px[k] = np.asarray(image).reshape(-1, 2)
+        J[k, ..., : _POSE + COUNT] = np.asarray(by).reshape(most, 2, -1)[..., : _POSE + COUNT]
+    if shaped:
+        # A corner that leaves the sheet moves as the whole sheet would along its normal.
+        normals = np.array([np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in state.poses])
+        along = np.einsum("vnij,vj->vni", J[..., 3:_POSE], normals)
+        J[..., _POSE + COUNT :] = along[..., None] * data.basis[:, :, None, :]
+    return px, J
 
 
 def _scale(distance: np.ndarray) -> float:
