@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from PIL import Image
 
 _ORIENTATION, _FOCAL_MM, _FOCAL_35MM = 0x0112, 0x920A, 0xA405
+_MAKER, _MODEL = 0x010F, 0x0110
 _PIXEL_WIDTH, _PIXEL_HEIGHT = 0xA002, 0xA003
 _PLANE_X_RESOLUTION, _PLANE_UNIT, _DIGITAL_ZOOM = 0xA20E, 0xA210, 0xA404
 _EXIF_IFD = 0x8769
@@ -48,6 +49,8 @@ class Exif:
     pixel_height: float | None = None
     plane_pixels_per_mm: float | None = None
     digital_zoom: float | None = None
+    maker: str | None = None
+    model: str | None = None
 
 
 def read_exif(data: bytes) -> Exif:
@@ -63,6 +66,7 @@ def read_exif(data: bytes) -> Exif:
                 exif = Image.open(io.BytesIO(data)).getexif()
             details = exif.get_ifd(_EXIF_IFD)
             orientation = exif.get(_ORIENTATION)
+            maker, model = (_words(exif.get(tag)) for tag in (_MAKER, _MODEL))
     except Exception:
         # Pillow fails on broken EXIF in ways it does not list; a photo without EXIF is a photo all the same.
         return Exif()
@@ -78,7 +82,14 @@ def read_exif(data: bytes) -> Exif:
         pixel_height=_positive(details.get(_PIXEL_HEIGHT)),
         plane_pixels_per_mm=resolution / unit if resolution and unit else None,
         digital_zoom=_positive(details.get(_DIGITAL_ZOOM)),
+        maker=maker,
+        model=model,
     )
+
+
+def _words(value: object) -> str | None:
+    text = " ".join(str(value).replace("\0", " ").split()) if isinstance(value, str) else ""
+    return text or None
 
 
 def focal_from_exif(exif: Exif, width: int, height: int) -> tuple[float | None, str]:

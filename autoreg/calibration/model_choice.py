@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from autoreg.calibration.adjustment import Adjustment, Data, Freedom, State, adjust, fit_poses
 from autoreg.calibration.models import LENS_MODELS, LensModel, camera_of
+from autoreg.calibration.precision import precision_of
 
 _FOLDS = 10
 
@@ -71,6 +72,11 @@ def folds_inside(state: State, width: int, height: int) -> bool:
     return bool(np.isnan(camera.normalise(outline)).any())
 
 
+def _determined(trial: Trial) -> bool:
+    """Whether the fit arrived at a minimum that the views determine."""
+    return trial.fit.outcome == "converged" and precision_of(trial.fit).determined
+
+
 def _foretold(data: Data, fit: Adjustment, freedom: Freedom, group: Bool[np.ndarray, " v"]) -> np.ndarray:
     """RMS of each view of a group when only its pose is fitted, the rest being fitted to the other views."""
     others, these = np.flatnonzero(~group), np.flatnonzero(group)
@@ -87,13 +93,13 @@ def chosen(trials: tuple[Trial, ...]) -> Trial:
     A model is passed over for a simpler one if its gain over it, view by view, is less than one standard
     error of that gain.
     """
-    usable = [trial for trial in trials if not trial.folds_inside] or list(trials)
+    usable = [trial for trial in trials if not trial.folds_inside and _determined(trial)] or list(trials)
     best = min(usable, key=lambda trial: trial.score_px)
     for trial in usable:
         if trial is best:
             return best
         gain = trial.held_out_px**2 - best.held_out_px**2
         error = float(np.std(gain, ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
-        if gain.mean() < 0.0 * error:
+        if gain.mean() < error:
             return trial
     return best

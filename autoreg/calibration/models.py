@@ -43,8 +43,8 @@ LENS_MODELS = (
     LensModel("k1 k2 p1 p2 k3", ("k1", "k2", "p1", "p2", "k3")),
     LensModel("rational", ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
 )
-# What bad views are judged with, before a model is chosen: enough for any common lens, and stable.
-GENERAL = LENS_MODELS[3]
+# What bad views are judged with, before a model is chosen: enough for any common lens, and still stable.
+GENERAL = LENS_MODELS[4]
 
 
 def camera_of(intrinsics: Intrinsics, width: int, height: int) -> Camera:

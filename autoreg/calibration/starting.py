@@ -25,7 +25,7 @@ def first_state(data: Data, width: int, height: int) -> State:
     focals_only = np.isin(INTRINSICS, ("fx", "fy"))
     for free, steps in ((focals_only, 10), (NONE.free, 15), (GENERAL.free, 30)):
         found = adjust(data, state, Freedom(free), steps=steps)
-        if _sound(found.state, width, height):
+        if sound(found.state, width, height):
             state = found.state
     return state
 
@@ -65,7 +65,7 @@ def _misfit(data: Data, state: State) -> float:
     return float(np.median(distances))
 
 
-def _sound(state: State, width: int, height: int) -> bool:
+def sound(state: State, width: int, height: int) -> bool:
     """Whether focal lengths and principal point are those of some camera, however odd."""
     fx, fy, cx, cy = state.intrinsics[:4]
     size = max(width, height)
