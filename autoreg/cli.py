@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from autoreg.calibration_commands import add_calibration_commands
 from autoreg.errors import AutoregError, InputError
 from autoreg.options import parse_crop, parse_height, parse_slab
 
@@ -146,6 +147,9 @@ def _exit_codes() -> Generator[None]:
     except KeyboardInterrupt:
         _tell("interrupted; every file that was written is whole")
         raise typer.Exit(INTERRUPTED) from None
+
+
+add_calibration_commands(app, _exit_codes)
 
 
 def _run(job: Job, *, as_json: bool) -> None:
