@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 ExitCodes = Callable[[], AbstractContextManager[None]]
 
-_Charuco = Annotated[bool, typer.Option("--charuco", help="The board has ArUco markers in its white squares.")]
+_Charuco = Annotated[
+    bool, typer.Option("--charuco", help="The board has ArUco markers in its white squares.")
+]
 _Dictionary = Annotated[str, typer.Option(metavar="NAME", help="ArUco dictionary, such as 5X5_250.")]
 _Marker = Annotated[float, typer.Option(metavar="PART", help="Side of a marker as a part of the square's.")]
 _DEFAULT_DICTIONARY, _DEFAULT_MARKER = "5X5_250", 0.7
@@ -36,12 +38,15 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
 
     @app.command()
     def calibrate(  # pyright: ignore[reportUnusedFunction]
-        photos: Annotated[list[str], typer.Argument(help="Photos of the board: files, folders, 'boards/*.jpg'.")],
+        photos: Annotated[
+            list[str], typer.Argument(help="Photos of the board: files, folders, 'boards/*.jpg'.")
+        ],
         pattern: Annotated[
             str, typer.Option(metavar="CxR", help="Inner corners along a row x column: 9x6; or auto.")
         ] = "auto",
         square: Annotated[
-            float | None, typer.Option(metavar="METRES", help="Side of a square; changes no result but the record.")
+            float | None,
+            typer.Option(metavar="METRES", help="Side of a square; changes no result but the record."),
         ] = None,
         output: Annotated[
             Path, typer.Option("-o", "--output", metavar="FILE", help="The camera file.")
@@ -71,7 +76,9 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
         photo: Annotated[
             Path | None, typer.Option(metavar="FILE", help="A photo that the camera is said to have taken.")
         ] = None,
-        as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON on stdout.")] = False,
+        as_json: Annotated[
+            bool, typer.Option("--json", help="Print the findings as JSON on stdout.")
+        ] = False,
     ) -> None:
         """Say what a CAMERA file claims and what is odd about it.
 
@@ -86,7 +93,9 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
 
     @app.command()
     def board(  # pyright: ignore[reportUnusedFunction]
-        pattern: Annotated[str, typer.Option(metavar="CxR", help="Inner corners along a row x column.")] = "9x6",
+        pattern: Annotated[
+            str, typer.Option(metavar="CxR", help="Inner corners along a row x column.")
+        ] = "9x6",
         square: Annotated[float, typer.Option(metavar="METRES", help="Side of a square.")] = 0.025,
         output: Annotated[
             Path | None, typer.Option("-o", "--output", metavar="FILE", help="A .pdf or .svg file.")
@@ -123,7 +132,9 @@ def _calibrate(
     from autoreg.outputs import usable_folder
 
     if output.is_dir():
-        raise InputError(f"{output} is a folder; give the camera file's name, such as -o {output}/camera.json")
+        raise InputError(
+            f"{output} is a folder; give the camera file's name, such as -o {output}/camera.json"
+        )
     usable_folder(output.parent)
     if report is not None:
         usable_folder(report)
@@ -177,7 +188,8 @@ def summary(found: Calibration) -> str:
         f"{found.model.name}",
         f"  fx {camera.fx:9.2f} ± {sd[0]:.2f}   cx {camera.cx:9.2f} ± {sd[2]:.2f}   (1 sigma, px)",
         f"  fy {camera.fy:9.2f} ± {sd[1]:.2f}   cy {camera.cy:9.2f} ± {sd[3]:.2f}",
-        f"  OpenCV's RMS {found.rms_px:.3f} px; mean over views of |residuals|/N {found.mean_l2_over_n_px:.4f}",
+        f"  OpenCV's RMS {found.rms_px:.3f} px; mean over views of |residuals|/N "
+        f"{found.mean_l2_over_n_px:.4f}",
         f"  directions uncertain by {found.uncertainty.median_px:.2f} px in the median over the picture",
     ]
     if found.halves is not None:

@@ -86,9 +86,7 @@ def distrust(path: str | Path) -> str | None:
     return f"the camera file {path} says of itself: do not use: {said}"
 
 
-def write_camera_json(
-    camera: Camera, path: str | Path, record: Mapping[str, object] | None = None
-) -> None:
+def write_camera_json(camera: Camera, path: str | Path, record: Mapping[str, object] | None = None) -> None:
     """Write a camera in autoreg's own format, whole or not at all.
 
     Args:

@@ -234,7 +234,9 @@ class _Linear:
         """Each view's information and gradient with its pose eliminated, and the eliminating matrix."""
         diagonal = np.einsum("vii->vi", self.Hpp)
         Hpp = self.Hpp + (damping + 1e-13) * diagonal[:, :, None] * np.eye(self.Hpp.shape[-1])
-        eliminate = np.linalg.solve(Hpp, np.concatenate([self.Hcp.transpose(0, 2, 1), self.gp[..., None]], -1))
+        eliminate = np.linalg.solve(
+            Hpp, np.concatenate([self.Hcp.transpose(0, 2, 1), self.gp[..., None]], -1)
+        )
         from_common, from_own = eliminate[..., :-1], eliminate[..., -1:]
         return (
             self.Hcc - self.Hcp @ from_common,
@@ -251,7 +253,9 @@ class _Linear:
         scaled = total * unit[:, None] * unit + damping * np.eye(len(unit)) + 1e-15 * np.eye(len(unit))
         common = -unit * np.linalg.lstsq(scaled, unit * gradient, rcond=1e-14)[0]
         own = -(eliminate[..., :-1] @ common) - eliminate[..., -1]
-        promised = -0.5 * (float(gradient @ common) - float(np.einsum("vi,vi->", self.gp, eliminate[..., -1])))
+        promised = -0.5 * (
+            float(gradient @ common) - float(np.einsum("vi,vi->", self.gp, eliminate[..., -1]))
+        )
         return (common, own), promised
 
 

@@ -49,7 +49,8 @@ class Board:
         for name in ("columns", "rows"):
             if not MIN_CORNERS <= getattr(self, name) <= MAX_CORNERS:
                 raise InputError(
-                    f"the pattern {self.columns}x{self.rows} is out of range: a board has from {MIN_CORNERS} to "
+                    f"the pattern {self.columns}x{self.rows} is out of range: a board has from "
+                    f"{MIN_CORNERS} to "
                     f"{MAX_CORNERS} inner corners (where four squares meet) each way"
                 )
         if not (np.isfinite(self.square) and self.square > 0):
@@ -96,7 +97,9 @@ class Board:
         number = getattr(cv2.aruco, name, None)
         if not isinstance(number, int):
             known = sorted(k[5:] for k in dir(cv2.aruco) if k.startswith("DICT_"))
-            raise InputError(f"the ArUco dictionary {self.dictionary!r} is unknown; use one of {', '.join(known)}")
+            raise InputError(
+                f"the ArUco dictionary {self.dictionary!r} is unknown; use one of {', '.join(known)}"
+            )
         dictionary = cv2.aruco.getPredefinedDictionary(number)
         needed = (self.columns + 1) * (self.rows + 1) // 2
         if needed > len(dictionary.bytesList):

@@ -111,12 +111,16 @@ def read_claims(path: Path) -> Claims:
 
 def _partial(path: Path, record: Mapping[str, object]) -> Claims:
     try:
-        parts = {name: number(f"key {name!r}", record[name]) for name in _PARTS if record.get(name) is not None}
+        parts = {
+            name: number(f"key {name!r}", record[name]) for name in _PARTS if record.get(name) is not None
+        }
     except InputError as error:
         raise InputError(f"camera file {path}: {error}") from error
     for name in ("width", "height", "fx", "fy", "focal_px", "exif_focal_mm", "angle_of_view_deg"):
         if parts.get(name, 1.0) <= 0:
-            raise InputError(f"camera file {path}: key {name!r} must be positive, got {parts[name]:g}; correct it")
+            raise InputError(
+                f"camera file {path}: key {name!r} must be positive, got {parts[name]:g}; correct it"
+            )
     pattern, source = record.get("pattern"), record.get("source")
     size = parse_pattern(pattern) if isinstance(pattern, str) else None
     return Claims(

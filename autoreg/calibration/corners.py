@@ -12,7 +12,7 @@ Grid = Float[np.ndarray, "rows columns 2"]
 
 # Half the window in which a corner's edges are looked at, as a part of the distance to the next corner:
 # larger ones average more pixels but see the neighbour's blur and the lens's bend.
-_WINDOW = 0.3
+WINDOW = 0.3
 _LEAST_WINDOW_PX, _MOST_WINDOW_PX = 2, 24
 # A corner that the refinement takes further than this part of a square has left its place.
 _MOST_MOVE = 0.4
@@ -33,7 +33,7 @@ def refine(gray: Gray, corners_px: Corners, spacing_px: Float[np.ndarray, " n"])
     refined = np.empty_like(corners_px)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     for k, (corner, spacing) in enumerate(zip(corners_px, spacing_px, strict=True)):
-        half = int(np.clip(round(_WINDOW * spacing), _LEAST_WINDOW_PX, _MOST_WINDOW_PX))
+        half = int(np.clip(round(WINDOW * spacing), _LEAST_WINDOW_PX, _MOST_WINDOW_PX))
         point = corner.astype(np.float32).reshape(1, 1, 2)
         refined[k] = np.asarray(cv2.cornerSubPix(gray, point, (half, half), (-1, -1), criteria)).reshape(2)
     return refined

@@ -10,7 +10,14 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from autoreg.calibration.board import Board
-from autoreg.calibration.corners import in_board_order, nearest_spacing, refine, sides_that_go_on, trouble
+from autoreg.calibration.corners import (
+    WINDOW,
+    in_board_order,
+    nearest_spacing,
+    refine,
+    sides_that_go_on,
+    trouble,
+)
 from autoreg.image import PixelScale, pyramid
 
 Gray = UInt8[np.ndarray, "h w"]
@@ -64,9 +71,7 @@ def _find_chessboard(gray: Gray, board: Board) -> Detection:
             grid = in_board_order(gray, refined)
             corners = np.ascontiguousarray(grid.reshape(-1, 2))
             return Detection(np.arange(board.corners), corners, None, sides_that_go_on(gray, grid))
-    return nothing(
-        f"no board with {board.pattern} inner corners was found" if problem is None else problem
-    )
+    return nothing(f"no board with {board.pattern} inner corners was found" if problem is None else problem)
 
 
 def _sharpened(gray: Gray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,14 +96,15 @@ def _candidates(gray: Gray, board: Board) -> Generator[Float[np.ndarray, "n 2"]]
         )
         for search in searches:
             found, corners = search(small)
-            if found and corners is not None and corners.size == 2 * board.corners:
+            if found and np.size(corners) == 2 * board.corners:
                 yield _in_photo(small, np.asarray(corners, float).reshape(-1, 2), scale, board)
 
 
 def _in_photo(
     small: Gray, corners: Float[np.ndarray, "n 2"], scale: PixelScale, board: Board
 ) -> Float[np.ndarray, "n 2"]:
-    """The corners in the photo, refined in the reduced picture first so that the photo's windows catch them."""
+    """The corners in the photo, refined in the reduced picture first so that the photo's windows catch "
+    "them."""
     grid = corners.reshape(board.rows, board.columns, 2)
     if scale.factor_x > 1:
         refined, moved = _sharpened(small, grid)
@@ -114,10 +120,11 @@ def _find_charuco(gray: Gray, board: Board) -> Detection:
         for legacy in (False, True):
             detector = cv2.aruco.CharucoDetector(board.charuco(legacy=legacy))
             corners, ids, _, _ = detector.detectBoard(small)
-            count = 0 if ids is None else len(ids)
-            most = max(most, count)
-            if count >= _LEAST_CHARUCO:
-                ids = np.asarray(ids, int).ravel()
+            # OpenCV answers None, or an empty array, where it finds nothing.
+            ids = np.ravel(np.asarray(ids, object)).astype(float)
+            ids = ids[np.isfinite(ids)].astype(int)
+            most = max(most, len(ids))
+            if len(ids) >= _LEAST_CHARUCO:
                 rough = scale.to_photo(np.asarray(corners, float).reshape(-1, 2))
                 return _exact_charuco(gray, board, ids, rough)
         if scale.factor_x == 1:
@@ -136,18 +143,16 @@ def _exact_charuco(
     if min(len(np.unique(places[:, 0])), len(np.unique(places[:, 1]))) < 2:
         return nothing(f"the {len(ids)} corners found lie in one row")
     # Markers stand near the corners: the window may reach to them, not into them.
-    H, _ = cv2.findHomography(places, rough_px, cv2.RANSAC, 5.0)
-    if H is None:
+    H = np.asarray(cv2.findHomography(places, rough_px, cv2.RANSAC, 5.0)[0], float)
+    if H.shape != (3, 3):
         return nothing("the corners found are no flat board's")
-    step = board.square * (1 - board.marker) / 2
-    reach = np.linalg.norm(
-        _mapped(H, places + [step, 0]) - _mapped(H, places - [step, 0]), axis=1
-    ), np.linalg.norm(_mapped(H, places + [0, step]) - _mapped(H, places - [0, step]), axis=1)
-    # `refine` takes a part of the spacing; this makes its half window end where the markers begin.
-    spacing = np.minimum(*reach) / 0.6
-    refined = refine(gray, rough_px, spacing)
+    along, across = np.array([board.square, 0.0]), np.array([0.0, board.square])
+    side = np.minimum(
+        *(np.linalg.norm(_mapped(H, places + way) - _mapped(H, places), axis=1) for way in (along, across))
+    )
+    # `refine` takes a part of the spacing as its window; this makes it end where the markers begin.
+    refined = refine(gray, rough_px, side * (1 - board.marker) / (2 * WINDOW))
     moved = np.linalg.norm(refined - rough_px, axis=1)
-    side = np.linalg.norm(_mapped(H, places + [board.square, 0]) - _mapped(H, places), axis=1)
     good = (moved < 0.15 * side) & np.isfinite(refined).all(1)
     if good.sum() < _LEAST_CHARUCO:
         return nothing("the corners are too blurred to be placed")

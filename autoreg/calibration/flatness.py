@@ -110,9 +110,7 @@ def _square_px(data: Data) -> Float[np.ndarray, " v"]:
     return np.array(sizes)
 
 
-def _agreement(
-    heights: Float[np.ndarray, "v n"], ids: np.ndarray, corners: int
-) -> float:
+def _agreement(heights: Float[np.ndarray, "v n"], ids: np.ndarray, corners: int) -> float:
     """Mean correlation of height maps between pairs of views, over the corners that both show."""
     maps = np.full((len(heights), corners), np.nan)
     for k in range(len(heights)):

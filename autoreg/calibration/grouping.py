@@ -1,4 +1,5 @@
-"""Which photos can be of one camera: those of one frame size and one lens setting, however they are turned."""
+"""Which photos can be of one camera: those of one frame size and one lens setting, however they are "
+"turned."""
 
 from __future__ import annotations
 
@@ -98,9 +99,7 @@ def one_camera(photos: Sequence[BoardPhoto]) -> tuple[Group, tuple[tuple[str, st
     key, members = groups[0]
     if len(members) < _LEAST_SHARE * total:
         raise _mixture(groups, photos)
-    left_out = tuple(
-        (photos[k].name, _why_not(key, other)) for other, others in groups[1:] for k in others
-    )
+    left_out = tuple((photos[k].name, _why_not(key, other)) for other, others in groups[1:] for k in others)
     return _gathered(key, members, photos), left_out
 
 
@@ -148,10 +147,12 @@ def _why_not(main: _Key, other: _Key) -> str:
 
 def _mixture(groups: Sequence[tuple[_Key, list[int]]], photos: Sequence[BoardPhoto]) -> InputError:
     lines = [
-        f"  {len(members)} of {key.words}: {_few([photos[k].name for k in members])}" for key, members in groups
+        f"  {len(members)} of {key.words}: {_few([photos[k].name for k in members])}"
+        for key, members in groups
     ]
     return InputError(
-        "the photos cannot all be of one camera at one setting; calibrate each group by itself, as the camera "
+        "the photos cannot all be of one camera at one setting; calibrate each group by itself, as the "
+        "camera "
         "took them (unturned, uncropped, one zoom):\n" + "\n".join(lines)
     )
 

@@ -17,7 +17,8 @@ from autoreg.outputs import write_whole
 REPORT_NAME = "calibration.html"
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
+body { font: 16px/1.5 system-ui, sans-serif; color: #222 }
+body { max-width: 62rem; margin: 2rem auto; padding: 0 1rem }
 table { border-collapse: collapse; margin: 1rem 0 } td, th { padding: .2rem .8rem; text-align: right }
 td:first-child, th:first-child { text-align: left } tr { border-bottom: 1px solid #ddd }
 figure { margin: 1.5rem 0 } img { max-width: 100% } figcaption { color: #555; font-size: .9rem }
@@ -27,11 +28,13 @@ figure { margin: 1.5rem 0 } img { max-width: 100% } figcaption { color: #555; fo
 
 _CAPTIONS = {
     "coverage": "Where corners were seen. Outside the valid region the lens model extrapolates.",
-    "uncertainty": "How far off the direction of a pixel may be: one standard deviation, in its worst direction, "
+    "uncertainty": "How far off the direction of a pixel may be: one standard deviation, in its worst "
+    "direction, "
     "for points far away. The outline is the valid region.",
     "halves": "Two halves of the views calibrated apart: how far their projections differ, over the picture. "
     "Expect about twice the map before this one.",
-    "residuals": "Measured minus projected corners. Neighbours that point the same way share an error: a bent "
+    "residuals": "Measured minus projected corners. Neighbours that point the same way share an error: a "
+    "bent "
     "sheet, or a lens that the model does not describe.",
     "views": "How well each view fits; those left out are judged by what the others foretell.",
     "tilts": "How the board leaned. It should lean by 20° to 45°, in all directions.",
@@ -84,7 +87,12 @@ def _intrinsics(calibration: Calibration) -> str:
     values, sd = calibration.fit.state.intrinsics, calibration.precision.std_devs
     free = calibration.fit.free[: len(INTRINSICS)]
     rows = [
-        (name, f"{value:.6g}", f"{deviation:.2g}", f"{value - 1.96 * deviation:.6g} ... {value + 1.96 * deviation:.6g}")
+        (
+            name,
+            f"{value:.6g}",
+            f"{deviation:.2g}",
+            f"{value - 1.96 * deviation:.6g} ... {value + 1.96 * deviation:.6g}",
+        )
         for name, value, deviation, is_free in zip(INTRINSICS, values, sd, free, strict=True)
         if is_free
     ]
@@ -101,12 +109,21 @@ def _figures(calibration: Calibration) -> str:
         ),
         ("standard deviation of a corner's coordinate", f"{calibration.fit.sigma_px:.4f} px"),
         ("views scatter against corners (dispersion)", f"{calibration.precision.dispersion:.2f}"),
-        ("direction of a pixel, median over the picture (1 sigma)", f"{calibration.uncertainty.median_px:.2f} px"),
+        (
+            "direction of a pixel, median over the picture (1 sigma)",
+            f"{calibration.uncertainty.median_px:.2f} px",
+        ),
         ("picture covered by boards", f"{100 * calibration.coverage.area:.0f} %"),
         ("scatter along the sheet's normal against across", f"{np.sqrt(calibration.flatness.ratio):.2f}"),
     ]
     if calibration.halves is not None:
-        rows.insert(5, ("two halves differ, median over the picture", f"{calibration.halves.difference.median_px:.2f} px"))
+        rows.insert(
+            5,
+            (
+                "two halves differ, median over the picture",
+                f"{calibration.halves.difference.median_px:.2f} px",
+            ),
+        )
     return _table(("", ""), rows)
 
 
@@ -126,7 +143,8 @@ def _photos(calibration: Calibration) -> str:
 def _figure(name: str, png: bytes) -> str:
     caption = escape(_CAPTIONS[name])
     data = base64.b64encode(png).decode()
-    return f"<figure><img alt='{caption}' src='data:image/png;base64,{data}'><figcaption>{caption}</figcaption></figure>"
+    image = f"<img alt='{caption}' src='data:image/png;base64,{data}'>"
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
 
 def _list(lines: Iterable[str]) -> str:

@@ -97,8 +97,7 @@ def _weight(value: float, limits: tuple[float, float]) -> Weight | None:
 def _shape(claims: Claims) -> Generator[Oddity]:
     """Principal point and the two focal lengths."""
     c = claims
-    if None not in (c.width, c.height, c.cx, c.cy):
-        assert c.width and c.height and c.cx is not None and c.cy is not None
+    if c.width and c.height and c.cx is not None and c.cy is not None:
         off_x, off_y = (c.cx - (c.width - 1) / 2) / c.width, (c.cy - (c.height - 1) / 2) / c.height
         weight = _weight(max(abs(off_x), abs(off_y)), _OFF_CENTRE)
         if weight:
@@ -106,13 +105,15 @@ def _shape(claims: Claims) -> Generator[Oddity]:
             hint = ""
             if (w - h) * (c.width - c.height) < 0:
                 hint = (
-                    f"; it would be the middle of a picture of {w:.0f} x {h:.0f}, on its side against this one: "
+                    f"; it would be the middle of a picture of {w:.0f} x {h:.0f}, on its side against this "
+                    "one: "
                     "were photos of both orientations mixed?"
                 )
             yield Oddity(
                 weight,
                 f"the principal point ({c.cx:g}, {c.cy:g}) lies {100 * off_x:+.0f} % of the width and "
-                f"{100 * off_y:+.0f} % of the height from the middle of {c.width:.0f} x {c.height:.0f}; lenses are "
+                f"{100 * off_y:+.0f} % of the height from the middle of {c.width:.0f} x {c.height:.0f}; "
+                "lenses are "
                 f"centred to a few percent{hint}",
             )
     difference = c.fx_fy_difference
@@ -121,7 +122,8 @@ def _shape(claims: Claims) -> Generator[Oddity]:
     if difference is not None and (weight := _weight(difference, _ASPECT)):
         yield Oddity(
             weight,
-            f"fx and fy differ by {100 * difference:.1f} %: pixels are square, so the squares of the board were "
+            f"fx and fy differ by {100 * difference:.1f} %: pixels are square, so the squares of the board "
+            "were "
             "not, or its views do not determine the camera",
         )
 
@@ -136,7 +138,8 @@ def _lens(claims: Claims) -> Generator[Oddity]:
             yield Oddity(
                 "wrong",
                 f"the distortion folds back within the picture: {100 * lost:.0f} % of its edge has no ray "
-                f"(the model is valid up to {math.degrees(math.atan(c.camera.valid_radius)):.0f}° off the axis)",
+                f"(the model is valid up to {math.degrees(math.atan(c.camera.valid_radius)):.0f}° off the "
+                "axis)",
             )
     if not (c.focal and c.width and c.height) or (c.camera is not None and any(c.camera.dist[5:])):
         return  # of a rational model, single terms mean nothing
@@ -149,7 +152,8 @@ def _lens(claims: Claims) -> Generator[Oddity]:
             yield Oddity(
                 weight,
                 f"{name} = {value:g} alone would move the furthest corner of the picture by "
-                f"{100 * abs(value) * radius**power:.0f} % of its distance from the principal point: no lens does "
+                f"{100 * abs(value) * radius**power:.0f} % of its distance from the principal point: no "
+                "lens does "
                 "that, so the other terms must undo it, and beyond the boards' reach nothing holds",
             )
 
@@ -159,28 +163,34 @@ def _focal_claims(claims: Claims) -> Generator[Oddity]:
     c = claims
     if not (c.focal and c.width and c.height):
         return
-    across, down, diagonal = (angle_deg(c.focal, s) for s in (c.width, c.height, math.hypot(c.width, c.height)))
+    across, down, diagonal = (
+        angle_deg(c.focal, s) for s in (c.width, c.height, math.hypot(c.width, c.height))
+    )
     if c.angle_of_view_deg is not None:
         needed = focal_from_angle(c.angle_of_view_deg, c.width)
         if abs(needed / c.focal - 1) > _SAME:
             yield Oddity(
                 "wrong",
                 f"an angle of view of {c.angle_of_view_deg:g}° across {c.width:.0f} px is a focal length of "
-                f"{needed:.0f} px, {100 * (needed / c.focal - 1):+.1f} % against the claimed {c.focal:g} px, whose "
+                f"{needed:.0f} px, {100 * (needed / c.focal - 1):+.1f} % against the claimed {c.focal:g} "
+                "px, whose "
                 f"angles are {across:.2f}° across, {down:.2f}° down and {diagonal:.2f}° along the diagonal",
             )
     if c.exif_focal_mm is not None:
         width_mm = c.exif_focal_mm * c.width / c.focal
         text = (
-            f"{c.focal:g} px and {c.exif_focal_mm:g} mm agree only if the sensor is {width_mm:.2f} mm wide (pixels "
-            f"of {1000 * width_mm / c.width:.2f} µm); EXIF's mm say nothing about pixels without the sensor's size"
+            f"{c.focal:g} px and {c.exif_focal_mm:g} mm agree only if the sensor is {width_mm:.2f} mm wide "
+            "(pixels "
+            f"of {1000 * width_mm / c.width:.2f} µm); EXIF's mm say nothing about pixels without the "
+            "sensor's size"
         )
         if c.angle_of_view_deg is not None:
             other = 2 * c.exif_focal_mm * math.tan(math.radians(c.angle_of_view_deg) / 2)
             if abs(other / width_mm - 1) > _SAME:
                 yield Oddity(
                     "wrong",
-                    f"{text}; {c.exif_focal_mm:g} mm at {c.angle_of_view_deg:g}° needs one of {other:.2f} mm: the "
+                    f"{text}; {c.exif_focal_mm:g} mm at {c.angle_of_view_deg:g}° needs one of {other:.2f} "
+                    "mm: the "
                     "three figures are not of one camera at one setting",
                 )
                 return
@@ -192,14 +202,17 @@ def _quality(claims: Claims) -> Generator[Oddity]:
     if c.mean_error_px is not None and c.corners:
         yield Oddity(
             "odd" if c.mean_error_px * math.sqrt(c.corners) > 1 else "note",
-            f"a mean error of {c.mean_error_px:g} as |residuals| / N over {c.corners} corners is no distance: it is "
+            f"a mean error of {c.mean_error_px:g} as |residuals| / N over {c.corners} corners is no "
+            "distance: it is "
             f"an RMS of about {c.mean_error_px * math.sqrt(c.corners):.2f} px per corner",
         )
     if c.verdict is not None and c.verdict[0] != "good":
         weight = "wrong" if c.verdict[0] == "do not use" else "note"
         yield Oddity(weight, f"the file says of itself: {c.verdict[0]}: {'; '.join(c.verdict[1])}")
     if c.camera is not None and not c.std_devs:
-        yield Oddity("note", "the file gives no standard deviations, so nothing says how good the figures are")
+        yield Oddity(
+            "note", "the file gives no standard deviations, so nothing says how good the figures are"
+        )
     if c.camera is None:
         names = {"fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "width": c.width, "height": c.height}
         missing = [name for name, value in names.items() if value is None]
@@ -222,7 +235,9 @@ def _against_photo(
             if note:
                 yield Oddity("note", note)
     elif claims.width and claims.height and (claims.width, claims.height) != (width, height):
-        yield Oddity("odd", f"the camera is of {claims.width:.0f} x {claims.height:.0f}, the photo {width} x {height}")
+        yield Oddity(
+            "odd", f"the camera is of {claims.width:.0f} x {claims.height:.0f}, the photo {width} x {height}"
+        )
     if exif_focal is None or not (claims.focal and claims.width and claims.height):
         return
     scaled = claims.focal * math.hypot(width, height) / math.hypot(claims.width, claims.height)
@@ -236,7 +251,8 @@ def _against_photo(
     elif abs(apart) > _FOCAL_AGREES:
         yield Oddity(
             "odd",
-            f"the focal length is {100 * apart:+.1f} % off what the photo's EXIF gives ({exif_focal:.0f} px), which "
+            f"the focal length is {100 * apart:+.1f} % off what the photo's EXIF gives ({exif_focal:.0f} "
+            "px), which "
             "is rounded and taken at another distance, but rarely by so much",
         )
 

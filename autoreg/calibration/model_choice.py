@@ -73,32 +73,19 @@ def folds_inside(state: State, width: int, height: int) -> bool:
     return bool(np.isnan(camera.normalise(outline)).any())
 
 
-def _determined(trial: Trial) -> bool:
-    """Whether the fit arrived at a minimum that the views determine."""
-    return trial.fit.outcome == "converged" and precision_of(trial.fit).determined
-
-
-def _foretold(data: Data, fit: Adjustment, freedom: Freedom, group: Bool[np.ndarray, " v"]) -> np.ndarray:
-    """RMS of each view of a group when only its pose is fitted, the rest being fitted to the other views."""
-    others, these = np.flatnonzero(~group), np.flatnonzero(group)
-    without = adjust(data.part(others), fit.state.part(others), freedom, steps=8)
-    state = State(without.state.intrinsics, fit.state.poses[these], without.state.shape)
-    posed = fit_poses(data.part(these), state, steps=8)
-    squares = (posed.weights[..., None] * posed.residuals_px**2).sum((1, 2))
-    return np.sqrt(squares / posed.present.sum(1))
-
-
 def chosen(trials: tuple[Trial, ...]) -> Trial:
     """The trial whose model foretells held-out views best; a simpler one if the gain over it may be chance.
 
     That is so within one standard error of the gain, view by view (Breiman's rule); within two for the
-    rational model, whose numerator and denominator nearly cancel in most lenses and run away from the corners.
+    rational model, whose numerator and denominator nearly cancel in most lenses and run away off the corners.
     """
     usable = [trial for trial in trials if not trial.folds_inside and _determined(trial)] or list(trials)
     best = min(usable, key=lambda trial: trial.score_px)
     if "k4" in best.model.coefficients:
         simpler = [trial for trial in usable if "k4" not in trial.model.coefficients]
-        if simpler and not _worse(second := min(simpler, key=lambda trial: trial.score_px), best, _RATIONAL_ERRORS):
+        if simpler and not _worse(
+            second := min(simpler, key=lambda trial: trial.score_px), best, _RATIONAL_ERRORS
+        ):
             best = second
     return next(trial for trial in usable if trial is best or not _worse(trial, best, _POLYNOMIAL_ERRORS))
 
@@ -122,21 +109,3 @@ def _foretold(data: Data, fit: Adjustment, freedom: Freedom, group: Bool[np.ndar
     posed = fit_poses(data.part(these), state, steps=8)
     squares = (posed.weights[..., None] * posed.residuals_px**2).sum((1, 2))
     return np.sqrt(squares / posed.present.sum(1))
-
-
-def chosen(trials: tuple[Trial, ...]) -> Trial:
-    """The trial whose model foretells held-out views best; a simpler one if the difference is no difference.
-
-    A model is passed over for a simpler one if its gain over it, view by view, is less than one standard
-    error of that gain.
-    """
-    usable = [trial for trial in trials if not trial.folds_inside and _determined(trial)] or list(trials)
-    best = min(usable, key=lambda trial: trial.score_px)
-    for trial in usable:
-        if trial is best:
-            return best
-        gain = trial.held_out_px**2 - best.held_out_px**2
-        error = float(np.std(gain, ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else np.inf
-        if gain.mean() < error:
-            return trial
-    return best

@@ -161,7 +161,7 @@ def find_pattern(sources: Sequence[Source]) -> tuple[int, int] | None:
             continue
         flags = cv2.CALIB_CB_LARGER + cv2.CALIB_CB_NORMALIZE_IMAGE
         found, _, meta = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
-        if found and meta is not None:
+        if found and np.ndim(meta) == 2:
             votes[max(meta.shape[:2]), min(meta.shape[:2])] += 1
     if not votes:
         return None

@@ -171,7 +171,9 @@ def calibrate_views(
         Refusal: the views do not determine a camera.
     """
     if len(views) < _LEAST_VIEWS:
-        raise InputError(f"{len(views)} views of a board do not determine a camera; give at least {_LEAST_VIEWS}")
+        raise InputError(
+            f"{len(views)} views of a board do not determine a camera; give at least {_LEAST_VIEWS}"
+        )
     everything = data_of(views, board)
     start = first_state(everything, width, height)
     sifted = sift(everything, start, lambda state: sound(state, width, height))
@@ -242,7 +244,12 @@ def _sources(photos: str | Path | Iterable[Source]) -> list[Source]:
 
 
 def _board(
-    sources: Sequence[Source], pattern: str, square: float | None, charuco: bool, dictionary: str, marker: float
+    sources: Sequence[Source],
+    pattern: str,
+    square: float | None,
+    charuco: bool,
+    dictionary: str,
+    marker: float,
 ) -> Board:
     size = parse_pattern(pattern)
     if size is None and charuco:
@@ -251,7 +258,8 @@ def _board(
         size = find_pattern(sources)
         if size is None:
             raise InputError(
-                "no chessboard was found in the photos, so its pattern cannot be counted; check that the whole "
+                "no chessboard was found in the photos, so its pattern cannot be counted; check that the "
+                "whole "
                 "board shows, or give --pattern"
             )
     known = square is not None
@@ -268,8 +276,10 @@ def _refuse_wrong_pattern(photos: Sequence[BoardPhoto], board: Board) -> None:
     larger = sum(any(sides) for sides in goes_on)
     if board.kind == "chessboard" and goes_on and larger > _LARGER_SHARE * len(goes_on):
         raise InputError(
-            f"in {larger} of {len(goes_on)} photos black and white squares go on beyond {board.pattern} inner "
-            "corners, so the board is larger than the pattern; count the corners where four squares meet, or use "
+            f"in {larger} of {len(goes_on)} photos black and white squares go on beyond {board.pattern} "
+            "inner "
+            "corners, so the board is larger than the pattern; count the corners where four squares meet, "
+            "or use "
             "--pattern auto"
         )
 
@@ -299,14 +309,16 @@ def _refuse_undetermined(data: Data, state: State, width: int, height: int) -> N
     if not sound(state, width, height):
         raise Refusal(
             "undetermined",
-            "the views fit no camera: the solve ran away; check that the photos are of one camera and one flat "
+            "the views fit no camera: the solve ran away; check that the photos are of one camera and one "
+            "flat "
             "board, and add views with the board tilted by 20° to 45°",
         )
     tilt = float(coverage_of(data, state, width, height).tilts_deg.max())
     if tilt < _PARALLEL_DEG:
         raise Refusal(
             "undetermined",
-            f"all views are nearly parallel to the sensor (tilted by at most {tilt:.1f}°), so focal length and "
+            f"all views are nearly parallel to the sensor (tilted by at most {tilt:.1f}°), so focal length "
+            "and "
             "distance cannot be told apart; add views with the board tilted by 20° to 45°, about both axes",
             measured=tilt,
             limit=_PARALLEL_DEG,
@@ -319,7 +331,8 @@ def _refuse_unknown(fit: Adjustment, precision: Precision) -> None:
         known = f"only to ±{100 * part:.0f} %" if precision.determined and np.isfinite(part) else "not at all"
         raise Refusal(
             "undetermined",
-            f"the views determine the focal length {known}; do not use them: add views with the board tilted by "
+            f"the views determine the focal length {known}; do not use them: add views with the board "
+            "tilted by "
             "20° to 45° about both axes, and close enough to fill half the picture",
             measured=part if np.isfinite(part) else None,
             limit=_UNKNOWN_FOCAL,

@@ -23,7 +23,9 @@ def plots_of(calibration: Calibration) -> dict[str, bytes]:
     """PNG pictures by name, in the order in which a report shows them."""
     drawn: dict[str, Callable[[Any], None]] = {
         "coverage": lambda axes: _coverage(axes, calibration),
-        "uncertainty": lambda axes: _map(axes, calibration.uncertainty, calibration, "px (1 sigma, worst way)"),
+        "uncertainty": lambda axes: _map(
+            axes, calibration.uncertainty, calibration, "px (1 sigma, worst way)"
+        ),
         "residuals": lambda axes: _residuals(axes, calibration),
         "views": lambda axes: _views(axes, calibration),
         "tilts": lambda axes: _tilts(axes, calibration),
@@ -78,7 +80,9 @@ def _map(axes: Any, values: PictureMap, calibration: Calibration, unit: str) -> 
         axes.text(0.5, 0.5, "no value anywhere", transform=axes.transAxes, ha="center")
         return
     top = max(float(np.quantile(finite, 0.98)), 1e-6)
-    shown = axes.contourf(values.u, values.v, values.px, np.linspace(0, top, 13), cmap="viridis", extend="max")
+    shown = axes.contourf(
+        values.u, values.v, values.px, np.linspace(0, top, 13), cmap="viridis", extend="max"
+    )
     axes.figure.colorbar(shown, ax=axes, label=unit)
     axes.plot(*_closed(calibration.coverage.hull_px).T, color="white", linewidth=1)
     _frame(axes, calibration)
@@ -116,9 +120,7 @@ def _views(axes: Any, calibration: Calibration) -> None:
 
 
 def _tilts(axes: Any, calibration: Calibration) -> None:
-    normals = np.array(
-        [np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in calibration.fit.state.poses]
-    )
+    normals = np.array([np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in calibration.fit.state.poses])
     sideways = normals[:, :2] * np.sign(normals[:, 2:])
     angle = np.degrees(np.arcsin(np.clip(np.linalg.norm(sideways, axis=1), 0, 1)))
     unit = sideways / np.maximum(np.linalg.norm(sideways, axis=1, keepdims=True), 1e-12)
@@ -134,7 +136,9 @@ def _tilts(axes: Any, calibration: Calibration) -> None:
 def _models(axes: Any, calibration: Calibration) -> None:
     trials = calibration.trials
     colours = [_GREEN if trial.model == calibration.model else _BLUE for trial in trials]
-    bars = axes.bar([trial.model.name for trial in trials], [trial.score_px for trial in trials], color=colours)
+    bars = axes.bar(
+        [trial.model.name for trial in trials], [trial.score_px for trial in trials], color=colours
+    )
     axes.bar_label(bars, [f"{trial.score_px:.3f}" for trial in trials], fontsize=8)
     axes.set_ylabel("RMS of views held out (px)")
     axes.set_ylim(0, 1.25 * float(np.median([trial.score_px for trial in trials])))

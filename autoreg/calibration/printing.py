@@ -43,7 +43,8 @@ def sheet_for(board: Board) -> Sheet:
     height = (board.rows + 1 + 2 * _MARGIN_SQUARES) * side
     if max(width, height) > _LARGEST_MM or side < 1:
         raise InputError(
-            f"squares of {board.square:g} m make a board of {width:.0f} x {height:.0f} mm; give --square in metres, "
+            f"squares of {board.square:g} m make a board of {width:.0f} x {height:.0f} mm; give --square "
+            "in metres, "
             "such as 0.025"
         )
     # A printer leaves some mm of each sheet white; the board's own margin may overlap with those.
@@ -92,7 +93,7 @@ def _marker_rectangles(board: Board) -> list[Rectangle]:
     dictionary = charuco.getDictionary()
     bits = dictionary.markerSize + 2
     found: list[Rectangle] = []
-    for number, corners in zip(charuco.getIds().ravel(), charuco.getObjPoints(), strict=True):
+    for number, corners in zip(np.ravel(charuco.getIds()), charuco.getObjPoints(), strict=True):
         x, y = np.asarray(corners)[:, :2].min(0)
         picture = dictionary.generateImageMarker(int(number), bits, borderBits=1) < 128
         bit = board.marker / bits

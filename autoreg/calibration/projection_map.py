@@ -85,9 +85,9 @@ def uncertainty_map(
     u, v = nodes(width, height)
     grid = np.stack(np.meshgrid(u, v), -1)
     by_intrinsics, by_rotation = _derivatives(intrinsics, grid.reshape(-1, 2), width, height)
-    A, B = _derivatives(intrinsics, _some(anchors_px), width, height)
-    good = np.isfinite(A).all((1, 2))
-    A, B = A[good].reshape(-1, COUNT), B[good].reshape(-1, 3)
+    moved, turned = _derivatives(intrinsics, _some(anchors_px), width, height)
+    good = np.isfinite(moved).all((1, 2))
+    A, B = moved[good].reshape(-1, COUNT), turned[good].reshape(-1, 3)
     rotation = -np.linalg.lstsq(B, A, rcond=None)[0] if len(B) else np.zeros((3, COUNT))
     M = by_intrinsics + by_rotation @ rotation
     known = np.isfinite(M).all((1, 2))
@@ -162,7 +162,8 @@ def _directions(camera: Camera, px: Float[np.ndarray, "n 2"]) -> Float[np.ndarra
 def _derivatives(
     intrinsics: Intrinsics, px: Float[np.ndarray, "n 2"], width: int, height: int
 ) -> tuple[Float[np.ndarray, "n 2 12"], Float[np.ndarray, "n 2 3"]]:
-    """Derivatives of far points' pixels by the intrinsics and by a rotation of the camera; NaN without a ray."""
+    """Derivatives of far points' pixels by the intrinsics and by a rotation of the camera; NaN without a "
+    "ray."""
     rays = camera_of(intrinsics, width, height).unproject(px)
     good = np.isfinite(rays).all(1)
     J = np.full((len(px), 2, 6 + COUNT), np.nan)

@@ -33,7 +33,11 @@ def first_state(data: Data, width: int, height: int) -> State:
 def _posed(data: Data, focal_px: float, width: int, height: int) -> State:
     intrinsics = np.zeros(COUNT)
     intrinsics[:4] = focal_px, focal_px, (width - 1) / 2, (height - 1) / 2
-    return State(intrinsics, np.array([pose_of(data, k, intrinsics) for k in range(len(data))]), np.zeros(data.basis.shape[-1]))
+    return State(
+        intrinsics,
+        np.array([pose_of(data, k, intrinsics) for k in range(len(data))]),
+        np.zeros(data.basis.shape[-1]),
+    )
 
 
 def pose_of(data: Data, view: int, intrinsics: np.ndarray) -> np.ndarray:

@@ -115,9 +115,7 @@ def _tilted_pose(
     roll = cv2.Rodrigues(np.array([0.0, 0.0, rng.uniform(-0.4, 0.4) + rng.integers(0, 4) * np.pi / 2]))[0]
     distance = board.diagonal * camera.fx / (size * np.hypot(camera.width, camera.height))
     px = rng.uniform(0.1, 0.9, 2) * [camera.width, camera.height]
-    middle_cam = distance * np.array(
-        [(px[0] - camera.cx) / camera.fx, (px[1] - camera.cy) / camera.fy, 1.0]
-    )
+    middle_cam = distance * np.array([(px[0] - camera.cx) / camera.fx, (px[1] - camera.cy) / camera.fy, 1.0])
     R = np.asarray(lean @ roll)
     return Rigid(R, middle_cam - R @ board.points.mean(0))
 
@@ -172,15 +170,16 @@ def _sheet_coordinates(
     reach = (max(b.columns, b.rows) - 1) / 2 * b.square
     middle = np.array([b.columns - 1, b.rows - 1]) / 2 * b.square
     height = np.zeros(len(rays))
+    along, xy_sheet = height, np.zeros((len(rays), 2))
     with np.errstate(divide="ignore", invalid="ignore"):
         # A gentle bow: the height where the ray met the last height's plane converges in a few steps.
         for _ in range(1 if not any(scene.bend) else 12):
             along = (height - eye[2]) / rays[:, 2]
-            xy = eye[:2] + along[:, None] * rays[:, :2]
-            p, q = (np.clip((xy - middle) / reach, -2, 2)).T
+            xy_sheet = eye[:2] + along[:, None] * rays[:, :2]
+            p, q = (np.clip((xy_sheet - middle) / reach, -2, 2)).T
             height = reach * (scene.bend[0] * p * p + scene.bend[1] * p * q + scene.bend[2] * q * q)
-    xy = np.where((along > 0)[:, None], xy, np.nan) / b.square
-    return xy[:, 0].reshape(shape), xy[:, 1].reshape(shape)
+    squares = np.where((along > 0)[:, None], xy_sheet, np.nan) / b.square
+    return squares[:, 0].reshape(shape), squares[:, 1].reshape(shape)
 
 
 def _tone(scene: BoardScene, x: np.ndarray, y: np.ndarray, markers: np.ndarray | None) -> np.ndarray:
@@ -202,7 +201,9 @@ def _step(x: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _wave(x: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """+1 on (-1, 0), -1 on (0, 1) and so on by turns, averaged over `width`: the squares' edges along one axis."""
+    """+1 on (-1, 0), -1 on (0, 1) and so on by turns, averaged over `width`: the squares' edges along one "
+    "axis."""
+
     def triangle(t: np.ndarray) -> np.ndarray:
         # An antiderivative of the wave.
         return np.abs((t + 1) % 2 - 1) * -1.0

@@ -14,6 +14,7 @@ from autoreg.calibration.projection_map import HalvesDiffer, PictureMap
 from autoreg.camera import Camera
 
 Grade = Literal["good", "usable", "do not use"]
+_TILT = "add views with the board tilted by 20° to 45°, about both axes"
 GRADES: tuple[Grade, ...] = ("good", "usable", "do not use")
 
 
@@ -111,24 +112,33 @@ def _precise(e: Evidence, limits: Limits) -> list[Finding]:
     found: list[Finding] = []
     camera, sd = e.camera, e.precision.std_devs
     diagonal = float(np.hypot(camera.width, camera.height))
-    tilted = "add views with the board tilted by 20° to 45°, about both axes, close enough to fill half the picture"
+    tilted = f"{_TILT} and close enough to fill half the picture"
     edges = "add views with the board in the corners and along the edges of the picture"
     focal = max(sd[0] / camera.fx, sd[1] / camera.fy)
     if grade := _graded(focal, limits.focal):
-        found.append(Finding(grade, f"the focal length is only known to ±{100 * focal:.2g} % (1 sigma)", tilted))
+        found.append(
+            Finding(grade, f"the focal length is only known to ±{100 * focal:.2g} % (1 sigma)", tilted)
+        )
     centre = max(sd[2], sd[3])
     if grade := _graded(centre / diagonal, limits.centre):
-        found.append(Finding(grade, f"the principal point is only known to ±{centre:.1f} px (1 sigma)", tilted))
+        found.append(
+            Finding(grade, f"the principal point is only known to ±{centre:.1f} px (1 sigma)", tilted)
+        )
     middle = e.uncertainty.median_px
     if grade := _graded(middle / diagonal, limits.uncertainty):
         found.append(
-            Finding(grade, f"over half the picture, directions are uncertain by {middle:.2f} px or more", edges)
+            Finding(
+                grade, f"over half the picture, directions are uncertain by {middle:.2f} px or more", edges
+            )
         )
     if e.halves is not None:
         apart, excess = e.halves.difference.median_px, e.halves.excess
         if grade := _graded(apart / diagonal, limits.halves):
             found.append(
-                Finding(grade, f"two halves of the views, calibrated apart, differ by {apart:.2f} px in the median")
+                Finding(
+                    grade,
+                    f"two halves of the views, calibrated apart, differ by {apart:.2f} px in the median",
+                )
             )
         elif excess > limits.excess and apart > 0.0003 * diagonal:
             found.append(
@@ -156,9 +166,11 @@ def _consistent(e: Evidence, limits: Limits) -> list[Finding]:
         found.append(
             Finding(
                 grade,
-                f"the sheet is bent: corners are off by {np.sqrt(flat.ratio):.1f} times as much along its normal as "
+                f"the sheet is bent: corners are off by {np.sqrt(flat.ratio):.1f} times as much along its "
+                "normal as "
                 f"across, which asks for heights of {100 * flat.height_squares:.1f} % of a square{moved}",
-                "glue the sheet to glass or a flat plate and take the photos again, or estimate the sheet's shape "
+                "glue the sheet to glass or a flat plate and take the photos again, or estimate the "
+                "sheet's shape "
                 "(--sheet bent)",
             )
         )
@@ -166,7 +178,8 @@ def _consistent(e: Evidence, limits: Limits) -> list[Finding]:
         found.append(
             Finding(
                 grade,
-                f"corners are {e.rms_px:.2f} px RMS off their places, {e.rms_px / diagonal * 1e4:.1f} ten-thousandths "
+                f"corners are {e.rms_px:.2f} px RMS off their places, {e.rms_px / diagonal * 1e4:.1f} "
+                "ten-thousandths "
                 "of the diagonal: blur, a bent sheet, or a lens that the model does not describe",
                 "hold camera and board still, in good light",
             )
@@ -180,7 +193,8 @@ def _consistent(e: Evidence, limits: Limits) -> list[Finding]:
         found.append(
             Finding(
                 grade,
-                f"the views scatter {e.precision.dispersion:.1f} times as much as their corners do: they share errors "
+                f"the views scatter {e.precision.dispersion:.1f} times as much as their corners do: they "
+                "share errors "
                 "(a bent or badly measured sheet, autofocus or stabilisation that changes between photos)",
                 "switch off autofocus and stabilisation, and do not zoom",
             )
@@ -206,13 +220,15 @@ def _covered(e: Evidence, limits: Limits) -> list[Finding]:
             )
         )
     if len(bare) >= limits.bare_zones:
-        found.append(Finding("usable", f"hardly any corner lies at the {', '.join(bare)} of the picture", where))
+        found.append(
+            Finding("usable", f"hardly any corner lies at the {', '.join(bare)} of the picture", where)
+        )
     if coverage.tilts_deg.max() < limits.tilt_deg:
         found.append(
             Finding(
                 "usable",
                 f"no view is tilted by more than {coverage.tilts_deg.max():.0f}°",
-                "add views with the board tilted by 20° to 45°, about both axes",
+                _TILT,
             )
         )
     elif coverage.lean < limits.lean:
