@@ -103,8 +103,7 @@ def _candidates(gray: Gray, board: Board) -> Generator[Float[np.ndarray, "n 2"]]
 def _in_photo(
     small: Gray, corners: Float[np.ndarray, "n 2"], scale: PixelScale, board: Board
 ) -> Float[np.ndarray, "n 2"]:
-    """The corners in the photo, refined in the reduced picture first so that the photo's windows catch "
-    "them."""
+    """The corners in the photo, refined in the reduced picture first: so the photo's windows catch them."""
     grid = corners.reshape(board.rows, board.columns, 2)
     if scale.factor_x > 1:
         refined, moved = _sharpened(small, grid)

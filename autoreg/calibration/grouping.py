@@ -1,5 +1,4 @@
-"""Which photos can be of one camera: those of one frame size and one lens setting, however they are "
-"turned."""
+"""Which photos can be of one camera: those of one frame size and one lens setting, however turned."""
 
 from __future__ import annotations
 

@@ -162,8 +162,7 @@ def _directions(camera: Camera, px: Float[np.ndarray, "n 2"]) -> Float[np.ndarra
 def _derivatives(
     intrinsics: Intrinsics, px: Float[np.ndarray, "n 2"], width: int, height: int
 ) -> tuple[Float[np.ndarray, "n 2 12"], Float[np.ndarray, "n 2 3"]]:
-    """Derivatives of far points' pixels by the intrinsics and by a rotation of the camera; NaN without a "
-    "ray."""
+    """Derivatives of far points' pixels by the intrinsics and by a camera's rotation; NaN without a ray."""
     rays = camera_of(intrinsics, width, height).unproject(px)
     good = np.isfinite(rays).all(1)
     J = np.full((len(px), 2, 6 + COUNT), np.nan)

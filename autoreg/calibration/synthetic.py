@@ -201,8 +201,7 @@ def _step(x: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _wave(x: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """+1 on (-1, 0), -1 on (0, 1) and so on by turns, averaged over `width`: the squares' edges along one "
-    "axis."""
+    """+1 on (-1, 0), -1 on (0, 1) and so on by turns, averaged over `width`: the edges along one axis."""
 
     def triangle(t: np.ndarray) -> np.ndarray:
         # An antiderivative of the wave.
