@@ -22,8 +22,10 @@ from autoreg.calibration.models import COUNT, Intrinsics
 # Corners further off than this many standard deviations pull with a constant force only (Huber).
 _HUBER_SIGMAS = 3.5
 _MOST_STEPS = 60
-# A step that would lower the cost by less than this part has arrived.
-_CONVERGED = 1e-10
+# A step that would lower the cost by less than this part has arrived: it is about a hundredth of a sigma.
+_CONVERGED = 1e-8
+# The scale of Huber's weights is estimated anew where the residuals' own has moved by this part.
+_SCALE_MOVES = 0.05
 _POSE = 6
 
 Outcome = Literal["converged", "stalled", "diverged"]
@@ -201,8 +203,10 @@ def adjust(data: Data, start: State, freedom: Freedom, *, steps: int = _MOST_STE
         tried = problem.linearise(tried_state, linear.scale_px)
         if np.isfinite(tried.cost) and tried.cost < linear.cost:
             state, damping = tried_state, max(damping / 10, 1e-12)
+            linear = tried
             # The scale follows the residuals down, after which costs are counted anew.
-            linear = problem.linearise(state)
+            if abs(tried.own_scale_px / tried.scale_px - 1) > _SCALE_MOVES:
+                linear = problem.linearise(state)
         else:
             damping *= 10
             if damping > 1e8:
@@ -216,12 +220,29 @@ def fit_poses(data: Data, state: State, *, steps: int = 12) -> Adjustment:
     return adjust(data, state, Freedom(np.zeros(COUNT, bool)), steps=steps)
 
 
+def without_views(fit: Adjustment, group: Bool[np.ndarray, " v"]) -> State:
+    """The state to first order that the fit would have had without some views; their poses stay as they are.
+
+    Their gradients g are what the others' no longer balance: the step is (S - S_group)^-1 g.
+    """
+    information, gradient = fit.information[~group].sum(0), fit.gradients[group].sum(0)
+    size = information.diagonal()
+    unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+    common = np.zeros(len(fit.free))
+    common[fit.free] = unit * np.linalg.lstsq(information * unit[:, None] * unit, unit * gradient, rcond=1e-12)[0]
+    shape = fit.state.shape
+    if len(common) > COUNT:
+        shape = shape + common[COUNT:]
+    return State(fit.state.intrinsics + common[:COUNT], fit.state.poses, shape)
+
+
 @dataclass(frozen=True)
 class _Linear:
     """The problem at one state: cost, normal matrices of each view, and what they came from."""
 
     cost: float
     scale_px: float
+    own_scale_px: float
     residuals: np.ndarray
     weights: np.ndarray
     Hcc: np.ndarray
@@ -274,8 +295,8 @@ class _Problem:
         projected, J = _projected(data, state, shaped=self._shaped)
         residuals = np.where(data.present[..., None], projected - data.px, 0.0)
         distance = np.sqrt((residuals**2).sum(-1))
-        if scale_px is None:
-            scale_px = _scale(distance[data.present])
+        own_scale_px = _scale(distance[data.present])
+        scale_px = own_scale_px if scale_px is None else scale_px
         limit = _HUBER_SIGMAS * scale_px
         weights = np.where(distance > limit, limit / np.maximum(distance, 1e-300), 1.0) * data.present
         cost = float(np.where(distance > limit, limit * (distance - limit / 2), distance**2 / 2).sum())
@@ -286,6 +307,7 @@ class _Problem:
         return _Linear(
             cost=cost,
             scale_px=scale_px,
+            own_scale_px=own_scale_px,
             residuals=residuals,
             weights=weights,
             Hcc=Aw @ A,

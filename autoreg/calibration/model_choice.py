@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from autoreg.calibration.adjustment import Adjustment, Data, Freedom, State, adjust, fit_poses
+from autoreg.calibration.adjustment import (
+    Adjustment,
+    Data,
+    Freedom,
+    State,
+    adjust,
+    fit_poses,
+    without_views,
+)
 from autoreg.calibration.models import LENS_MODELS, LensModel, camera_of
 from autoreg.calibration.precision import precision_of
 
@@ -104,7 +112,8 @@ def _determined(trial: Trial) -> bool:
 def _foretold(data: Data, fit: Adjustment, freedom: Freedom, group: Bool[np.ndarray, " v"]) -> np.ndarray:
     """RMS of each view of a group when only its pose is fitted, the rest being fitted to the other views."""
     others, these = np.flatnonzero(~group), np.flatnonzero(group)
-    without = adjust(data.part(others), fit.state.part(others), freedom, steps=8)
+    start = without_views(fit, group)
+    without = adjust(data.part(others), start.part(others), freedom, steps=8)
     state = State(without.state.intrinsics, fit.state.poses[these], without.state.shape)
     posed = fit_poses(data.part(these), state, steps=8)
     squares = (posed.weights[..., None] * posed.residuals_px**2).sum((1, 2))
