@@ -149,8 +149,9 @@ def _exact_charuco(
     side = np.minimum(
         *(np.linalg.norm(_mapped(H, places + way) - _mapped(H, places), axis=1) for way in (along, across))
     )
-    # `refine` takes a part of the spacing as its window; this makes it end where the markers begin.
-    refined = refine(gray, rough_px, side * (1 - board.marker) / (2 * WINDOW))
+    # `refine` takes a part of the spacing as its window; this makes it end well before the markers begin.
+    gap = (1 - board.marker) / 2 * side
+    refined = refine(gray, rough_px, 0.75 * gap / WINDOW)
     moved = np.linalg.norm(refined - rough_px, axis=1)
     good = (moved < 0.15 * side) & np.isfinite(refined).all(1)
     if good.sum() < _LEAST_CHARUCO:

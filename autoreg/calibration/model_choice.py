@@ -52,7 +52,7 @@ def try_models(
     groups = folds(len(data))
     trials: list[Trial] = []
     for model in LENS_MODELS:
-        state = replace(start, intrinsics=np.where(model.free, start.intrinsics, 0.0))
+        state = replace(start, intrinsics=model.restricted(start.intrinsics))
         freedom = Freedom(model.free, shape=shape)
         fit = adjust(data, state, freedom)
         if fit.spare < 2 * fit.free.sum() or fit.outcome == "diverged":
@@ -101,7 +101,7 @@ def chosen(trials: tuple[Trial, ...]) -> Trial:
 def _worse(trial: Trial, best: Trial, errors: float) -> bool:
     """Whether a trial foretells views worse than the best, by more than so many standard errors."""
     loss = trial.held_out_px**2 - best.held_out_px**2
-    return float(loss.mean()) >= errors * float(np.std(loss, ddof=1)) / np.sqrt(len(loss))
+    return bool(loss.mean() >= errors * np.std(loss, ddof=1) / np.sqrt(len(loss)))
 
 
 def _determined(trial: Trial) -> bool:

@@ -28,6 +28,10 @@ class LensModel:
         """Which intrinsics the model leaves free: K and its coefficients."""
         return np.array([name in INTRINSICS[:4] + self.coefficients for name in INTRINSICS])
 
+    def restricted(self, intrinsics: Intrinsics) -> Intrinsics:
+        """The intrinsics with the coefficients that the model does not have at zero."""
+        return np.where(self.free, intrinsics, 0.0)
+
     @property
     def opencv_length(self) -> int:
         """How many coefficients OpenCV's vector needs for it."""

@@ -302,7 +302,7 @@ def _too_few(count: int, without: Sequence[LeftOut], board: Board, sources: Sequ
 
 def _with(state: State, model: LensModel) -> State:
     """A state with the coefficients that a model does not have at zero."""
-    return replace(state, intrinsics=np.where(model.free, state.intrinsics, 0.0))
+    return replace(state, intrinsics=model.restricted(state.intrinsics))
 
 
 def _refuse_undetermined(data: Data, state: State, width: int, height: int) -> None:
