@@ -20,13 +20,21 @@ def poses(camera: Camera, count: int, seed: int = 0, board: Board = BOARD, **opt
 
 
 def views(
-    camera: Camera, count: int, *, noise_px: float = 0.1, seed: int = 0, board: Board = BOARD, **options: float
+    camera: Camera,
+    count: int,
+    *,
+    noise_px: float = 0.1,
+    seed: int = 0,
+    board: Board = BOARD,
+    **options: float,
 ) -> list[BoardView]:
     """Views whose corners are exact but for Gaussian noise."""
     rng = np.random.default_rng([seed, 1])
     ids = np.arange(board.corners)
     return [
-        BoardView(f"view{k}.jpg", ids, exact(camera, pose, board) + rng.normal(0, noise_px, (board.corners, 2)))
+        BoardView(
+            f"view{k}.jpg", ids, exact(camera, pose, board) + rng.normal(0, noise_px, (board.corners, 2))
+        )
         for k, pose in enumerate(poses(camera, count, seed, board, **options))
     ]
 

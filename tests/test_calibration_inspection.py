@@ -115,7 +115,9 @@ def test_parts_of_a_camera_are_enough(tmp_path):
     assert inspect_camera(read_claims(path)).focal is None
 
 
-@pytest.mark.parametrize("text", ["{}", '{"fx": "wide"}', '{"fx": -3}', "no camera", '{"width": 100, "fx": null}'])
+@pytest.mark.parametrize(
+    "text", ["{}", '{"fx": "wide"}', '{"fx": -3}', "no camera", '{"width": 100, "fx": null}']
+)
 def test_a_file_that_claims_nothing_is_refused(text, tmp_path):
     path = tmp_path / "camera.json"
     path.write_text(text)
@@ -124,5 +126,3 @@ def test_a_file_that_claims_nothing_is_refused(text, tmp_path):
         return
     with pytest.raises(InputError):
         inspect_camera(read_claims(path))
-
-

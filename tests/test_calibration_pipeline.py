@@ -12,11 +12,11 @@ import autoreg
 from autoreg.calibration.board import Board, BoardView
 from autoreg.calibration.detection import Detection, nothing
 from autoreg.calibration.grouping import one_camera
+from autoreg.calibration.html_report import REPORT_NAME, write_report
 from autoreg.calibration.photos import BoardPhoto
 from autoreg.calibration.pipeline import calibrate, calibrate_views
 from autoreg.calibration.plots import plots_of
 from autoreg.calibration.record import camera_record, opencv_yaml, ros_yaml, write_camera_files
-from autoreg.calibration.html_report import REPORT_NAME, write_report
 from autoreg.calibration.synthetic import BoardScene, bent_points, render_board
 from autoreg.camera_files import distrust, read_camera, read_camera_record
 from autoreg.errors import InputError, Refusal

@@ -117,7 +117,9 @@ def test_a_fit_without_a_view_is_foretold_to_first_order():
     data, fit = fitted(seen)
     group = np.arange(10) == 3
     foretold = without_views(fit, group).intrinsics
-    again = adjust(data.part(np.flatnonzero(~group)), fit.state.part(np.flatnonzero(~group)), Freedom(GENERAL.free))
+    again = adjust(
+        data.part(np.flatnonzero(~group)), fit.state.part(np.flatnonzero(~group)), Freedom(GENERAL.free)
+    )
     moved = again.state.intrinsics - fit.state.intrinsics
     sd = precision_of(fit).std_devs[GENERAL.free]
     assert np.abs((foretold - again.state.intrinsics)[GENERAL.free] / sd).max() < 0.1
@@ -156,7 +158,11 @@ def test_a_view_held_out_fits_worse_than_one_fitted():
 
 @pytest.mark.parametrize(
     ("dist", "expected"),
-    [((0.0,) * 5, {"none"}), ((-0.15, 0, 0, 0, 0), {"k1"}), ((-0.28, 0.12, 0.001, -0.001, 0), {"k1 k2 p1 p2"})],
+    [
+        ((0.0,) * 5, {"none"}),
+        ((-0.15, 0, 0, 0, 0), {"k1"}),
+        ((-0.28, 0.12, 0.001, -0.001, 0), {"k1 k2 p1 p2"}),
+    ],
 )
 def test_the_lens_model_is_the_simplest_that_foretells_held_out_views(dist, expected):
     camera = Camera(W, H, 900.0, 900.0, 640.0, 480.0, tuple(map(float, dist)))

@@ -229,7 +229,9 @@ def without_views(fit: Adjustment, group: Bool[np.ndarray, " v"]) -> State:
     size = information.diagonal()
     unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
     common = np.zeros(len(fit.free))
-    common[fit.free] = unit * np.linalg.lstsq(information * unit[:, None] * unit, unit * gradient, rcond=1e-12)[0]
+    common[fit.free] = (
+        unit * np.linalg.lstsq(information * unit[:, None] * unit, unit * gradient, rcond=1e-12)[0]
+    )
     shape = fit.state.shape
     if len(common) > COUNT:
         shape = shape + common[COUNT:]

@@ -88,8 +88,8 @@ def read_claims(path: Path) -> Claims:
         mean_error = number("mean_over_views_of_l2_over_n_px", error) if error is not None else None
     return Claims(
         camera=camera,
-        width=camera.width,
-        height=camera.height,
+        width=float(camera.width),
+        height=float(camera.height),
         fx=camera.fx,
         fy=camera.fy,
         focal_px=None,

@@ -72,8 +72,8 @@ class Limits:
 
     focal: tuple[float, float] = (0.003, 0.02)
     centre: tuple[float, float] = (0.003, 0.02)
-    uncertainty: tuple[float, float] = (0.001, 0.01)
-    halves: tuple[float, float] = (0.002, 0.02)
+    uncertainty: tuple[float, float] = (0.001, 0.005)
+    halves: tuple[float, float] = (0.002, 0.01)
     rms: tuple[float, float] = (0.0006, 0.003)
     bent_change: tuple[float, float] = (0.003, 0.03)
     bad_share: tuple[float, float] = (0.1, 1 / 3)
