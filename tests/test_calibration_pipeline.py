@@ -71,7 +71,7 @@ def test_a_photo_without_a_board_is_named_and_stops_nothing(photos, tmp_path):
 
 
 def test_a_smaller_pattern_than_the_boards_is_refused_with_the_hint(photos):
-    with pytest.raises(InputError, match="larger than the pattern|9x6"):
+    with pytest.raises(InputError, match=r"larger than the pattern|9x6"):
         calibrate(photos, "7x5")
 
 
