@@ -20,7 +20,7 @@ from autoreg.calibration.models import LENS_MODELS, LensModel, camera_of
 from autoreg.calibration.precision import precision_of
 
 _FOLDS = 10
-_POLYNOMIAL_ERRORS, _RATIONAL_ERRORS = 1.0, 2.0
+_RATIONAL_ERRORS = 2.0
 
 
 @dataclass(frozen=True)
@@ -82,26 +82,23 @@ def folds_inside(state: State, width: int, height: int) -> bool:
 
 
 def chosen(trials: tuple[Trial, ...]) -> Trial:
-    """The trial whose model foretells held-out views best; a simpler one if the gain over it may be chance.
+    """The trial whose model foretells held-out views best.
 
-    That is so within one standard error of the gain, view by view (Breiman's rule); within two for the
-    rational model, whose numerator and denominator nearly cancel in most lenses and run away off the corners.
+    Not the simplest within a standard error of it, as is often done: a term left out moves the principal
+    point and the focal length by more than it adds to their standard deviations. Only the rational model,
+    whose numerator and denominator nearly cancel in most lenses, must gain two standard errors.
     """
     usable = [trial for trial in trials if not trial.folds_inside and _determined(trial)] or list(trials)
-    best = min(usable, key=lambda trial: trial.score_px)
-    if "k4" in best.model.coefficients:
-        simpler = [trial for trial in usable if "k4" not in trial.model.coefficients]
-        if simpler and not _worse(
-            second := min(simpler, key=lambda trial: trial.score_px), best, _RATIONAL_ERRORS
-        ):
-            best = second
-    return next(trial for trial in usable if trial is best or not _worse(trial, best, _POLYNOMIAL_ERRORS))
+    simpler = [trial for trial in usable if "k4" not in trial.model.coefficients] or usable
+    best = min(simpler, key=lambda trial: trial.score_px)
+    rational = [trial for trial in usable if "k4" in trial.model.coefficients and trial is not best]
+    return next((trial for trial in rational if _worse(best, trial, _RATIONAL_ERRORS)), best)
 
 
-def _worse(trial: Trial, best: Trial, errors: float) -> bool:
-    """Whether a trial foretells views worse than the best, by more than so many standard errors."""
-    loss = trial.held_out_px**2 - best.held_out_px**2
-    return bool(loss.mean() >= errors * np.std(loss, ddof=1) / np.sqrt(len(loss)))
+def _worse(trial: Trial, other: Trial, errors: float) -> bool:
+    """Whether a trial foretells views worse than another, by more than so many standard errors."""
+    loss = trial.held_out_px**2 - other.held_out_px**2
+    return bool(loss.mean() > errors * np.std(loss, ddof=1) / np.sqrt(len(loss)))
 
 
 def _determined(trial: Trial) -> bool:
