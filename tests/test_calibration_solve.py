@@ -144,6 +144,27 @@ def test_a_planted_bad_view_is_found_and_no_other(kind):
         assert "times what is usual" in found.bad[0].reason
 
 
+@pytest.mark.parametrize("kind", ["anywhere", "in another order", "on a line", "on one spot"])
+def test_a_view_of_nonsense_is_found_and_stops_nothing(kind):
+    seen = views(CAMERA, 20)
+    rng = np.random.default_rng(0)
+    px = {
+        "anywhere": rng.uniform([0, 0], [W, H], (54, 2)),
+        "in another order": rng.permutation(seen[4].corners_px),
+        "on a line": np.linspace([100.0, 100.0], [900.0, 700.0], 54),
+        "on one spot": np.full((54, 2), 300.0) + rng.normal(0, 1e-3, (54, 2)),
+    }[kind]
+    seen[4] = BoardView("nonsense.jpg", seen[4].ids, px)
+    data = data_of(seen, BOARD)
+    found = sift(data, first_state(data, W, H))
+    if kind == "on one spot":  # a board far away: no contradiction, and no information
+        assert len(found.kept) >= 19
+        assert abs(found.state.intrinsics[0] - CAMERA.fx) < 3
+        return
+    assert [bad.name for bad in found.bad] == ["nonsense.jpg"]
+    assert abs(found.state.intrinsics[0] - CAMERA.fx) < 3
+
+
 def test_views_in_order_are_all_kept():
     data = data_of(views(CAMERA, 20), BOARD)
     found = sift(data, first_state(data, W, H))

@@ -16,7 +16,7 @@ from autoreg.calibration.adjustment import (
     fit_poses,
     without_views,
 )
-from autoreg.calibration.models import LENS_MODELS, LensModel, camera_of
+from autoreg.calibration.models import COUNT, LENS_MODELS, LensModel, camera_of
 from autoreg.calibration.precision import precision_of
 
 _FOLDS = 10
@@ -93,6 +93,31 @@ def chosen(trials: tuple[Trial, ...]) -> Trial:
     best = min(simpler, key=lambda trial: trial.score_px)
     rational = [trial for trial in usable if "k4" in trial.model.coefficients and trial is not best]
     return next((trial for trial in rational if _worse(best, trial, _RATIONAL_ERRORS)), best)
+
+
+def choice_covariance(
+    trials: tuple[Trial, ...], picked: Trial, dispersion: float
+) -> Float[np.ndarray, "12 12"]:
+    """What choosing a model adds to the covariance: the weighted spread of the others' intrinsics around it.
+
+    Buckland, Burnham and Augustin (1997), with Akaike's weights exp(-(chi² / D² + 2 p) / 2), where chi² is by
+    the scatter of the richest model. An interval that knows nothing of the choice is too small.
+    """
+    usable = [trial for trial in trials if not trial.folds_inside and _determined(trial)]
+    usable = [trial for trial in usable if "k4" not in trial.model.coefficients or trial is picked]
+    if picked not in usable:
+        return np.zeros((COUNT, COUNT))
+    variance = (usable[-1].fit.sigma_px * dispersion) ** 2
+    fits = [trial.fit for trial in usable]
+    criteria = np.array(
+        [
+            float((fit.weights[..., None] * fit.residuals_px**2).sum()) / variance + 2 * int(fit.free.sum())
+            for fit in fits
+        ]
+    )
+    weights = np.exp(-(criteria - criteria.min()) / 2)
+    apart = np.array([fit.state.intrinsics - picked.fit.state.intrinsics for fit in fits])
+    return np.einsum("m,mi,mj->ij", weights / weights.sum(), apart, apart)
 
 
 def _worse(trial: Trial, other: Trial, errors: float) -> bool:

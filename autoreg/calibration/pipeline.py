@@ -15,7 +15,7 @@ from autoreg.calibration.board import DEFAULT_DICTIONARY, DEFAULT_MARKER, Board,
 from autoreg.calibration.coverage import Coverage, coverage_of
 from autoreg.calibration.flatness import Flatness, examine_flatness
 from autoreg.calibration.grouping import one_camera
-from autoreg.calibration.model_choice import Trial, chosen, try_models
+from autoreg.calibration.model_choice import Trial, choice_covariance, chosen, try_models
 from autoreg.calibration.models import GENERAL, LensModel, camera_of
 from autoreg.calibration.photos import (
     BoardPhoto,
@@ -183,13 +183,22 @@ def calibrate_views(
     first = adjust(data, _with(sifted.state, GENERAL), Freedom(GENERAL.free))
     bent = sheet == "bent" or examine_flatness(data, first, board).bent
     trials = try_models(data, sifted.state, width, height, shape=bent)
-    model = chosen(trials).model
+    if not trials:
+        raise Refusal(
+            "undetermined",
+            f"{len(data)} views with {int(data.present.sum())} corners determine no camera; add views, with "
+            "more of the board in each",
+        )
+    picked = chosen(trials)
+    model = picked.model
     flat_fit = adjust(data, _with(sifted.state, model), Freedom(model.free))
     flatness = examine_flatness(data, flat_fit, board)
     fit = flat_fit
     if sheet == "bent" and flatness.bent_fit is not None:
         fit = flatness.bent_fit
     precision = precision_of(fit)
+    among = choice_covariance(trials, picked, precision.dispersion)
+    precision = replace(precision, covariance=precision.covariance + among)
     camera = camera_of(fit.state.intrinsics, width, height)
     _refuse_unknown(fit, precision)
     anchors = data.px[data.present]
@@ -210,7 +219,7 @@ def calibrate_views(
         views=len(data),
         bad=len(sifted.bad),
         bent_focal_change=change,
-        folds=chosen(trials).folds_inside,
+        folds=picked.folds_inside,
     )
     return Calibration(
         camera=camera,

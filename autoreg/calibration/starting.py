@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from jaxtyping import Float
 
 from autoreg.calibration.adjustment import Data, Freedom, State, adjust
 from autoreg.calibration.models import COUNT, GENERAL, INTRINSICS, NONE
 
 # Focal lengths to try, in widths of the picture's longer side: from a very wide lens to a long one.
 _FOCALS = tuple(np.geomspace(0.35, 6.0, 15))
+# A view that its pose explains so many times worse than the median view, at the best of them, is nonsense.
+_NONSENSE = 5.0
 
 
 def first_state(data: Data, width: int, height: int) -> State:
@@ -17,17 +20,22 @@ def first_state(data: Data, width: int, height: int) -> State:
 
     The trials are judged by the median over views, so bad views do not matter.
     """
-    trials: list[tuple[float, State]] = []
+    trials: list[tuple[np.ndarray, State]] = []
     for focal in _FOCALS:
         state = _posed(data, focal * max(width, height), width, height)
-        trials.append((_misfit(data, state), state))
-    state = min(trials, key=lambda trial: trial[0])[1]
+        trials.append((_misfits(data, state), state))
+    misfits, state = min(trials, key=lambda trial: float(np.median(trial[0])))
+    # A view of nonsense must not lead the first steps astray.
+    sane = np.flatnonzero(misfits <= _NONSENSE * np.median(misfits))
+    some, near = data.part(sane), state.part(sane)
     focals_only = np.isin(INTRINSICS, ("fx", "fy"))
     for free, steps in ((focals_only, 10), (NONE.free, 15), (GENERAL.free, 30)):
-        found = adjust(data, state, Freedom(free), steps=steps)
+        found = adjust(some, near, Freedom(free), steps=steps)
         if sound(found.state, width, height):
-            state = found.state
-    return state
+            near = found.state
+    poses = np.array([pose_of(data, k, near.intrinsics) for k in range(len(data))])
+    poses[sane] = near.poses
+    return State(near.intrinsics, poses, near.shape)
 
 
 def _posed(data: Data, focal_px: float, width: int, height: int) -> State:
@@ -46,19 +54,23 @@ def pose_of(data: Data, view: int, intrinsics: np.ndarray) -> np.ndarray:
     fx, fy, cx, cy = intrinsics[:4]
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
     middle = data.places[view][here].mean(0)
-    found, rvecs, tvecs, errors = cv2.solvePnPGeneric(
-        data.places[view][here] - middle, data.px[view][here], K, intrinsics[4:], flags=cv2.SOLVEPNP_IPPE
-    )
+    places, px = data.places[view][here] - middle, data.px[view][here]
+    try:
+        found, rvecs, tvecs, errors = cv2.solvePnPGeneric(
+            places, px, K, intrinsics[4:], flags=cv2.SOLVEPNP_IPPE
+        )
+    except cv2.error:  # corners that no plane's picture can be, such as all on one line
+        found, rvecs, tvecs, errors = 0, (), (), ()
     if not found:
-        far = np.linalg.norm(np.ptp(data.places[view][here], axis=0))
+        far = np.linalg.norm(np.ptp(places, axis=0))
         return np.array([0, 0, 0, *(-middle[:2]), 3 * far])
     best = int(np.argmin(np.asarray(errors).ravel()))
     rvec, tvec = (np.asarray(v[best], float).ravel() for v in (rvecs, tvecs))
     return np.concatenate([rvec, tvec - np.asarray(cv2.Rodrigues(rvec)[0]) @ middle])
 
 
-def _misfit(data: Data, state: State) -> float:
-    """Median over views of the distance between measured and projected corners."""
+def _misfits(data: Data, state: State) -> Float[np.ndarray, " v"]:
+    """RMS distance between measured and projected corners, per view."""
     distances: list[float] = []
     fx, fy, cx, cy = state.intrinsics[:4]
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
@@ -66,7 +78,7 @@ def _misfit(data: Data, state: State) -> float:
         here, pose = data.present[k], state.poses[k]
         px = cv2.projectPoints(data.places[k][here], pose[:3], pose[3:], K, state.intrinsics[4:])[0]
         distances.append(float(np.sqrt(np.mean((np.asarray(px).reshape(-1, 2) - data.px[k][here]) ** 2))))
-    return float(np.median(distances))
+    return np.array(distances)
 
 
 def sound(state: State, width: int, height: int) -> bool:
