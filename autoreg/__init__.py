@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from autoreg.align import align as align
     from autoreg.alignment import Alignment as Alignment
+    from autoreg.calibration.board import Board as Board
+    from autoreg.calibration.pipeline import Calibration as Calibration
+    from autoreg.calibration.pipeline import calibrate as calibrate
     from autoreg.camera import Camera as Camera
     from autoreg.errors import AutoregError as AutoregError
     from autoreg.errors import InputError as InputError
@@ -26,6 +29,9 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "Alignment": "autoreg.alignment",
+    "Board": "autoreg.calibration.board",
+    "Calibration": "autoreg.calibration.pipeline",
+    "calibrate": "autoreg.calibration.pipeline",
     "Camera": "autoreg.camera",
     "AutoregError": "autoreg.errors",
     "InputError": "autoreg.errors",

@@ -63,13 +63,43 @@ def read_camera(path: str | Path) -> Camera:
         raise InputError(f"camera file {path}: nested too deeply; give one of {_FORMATS}") from error
 
 
-def write_camera_json(camera: Camera, path: str | Path) -> None:
-    """Write a camera in autoreg's own format, whole or not at all."""
+def read_camera_record(path: str | Path) -> Mapping[str, object]:
+    """All that a camera file in autoreg's own format says; nothing for other formats.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    try:
+        content = json.loads(_text_of(Path(path)))
+    except (ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def distrust(path: str | Path) -> str | None:
+    """Why a camera file says of itself that it should not be used, or None."""
+    quality = read_camera_record(path).get("quality")
+    if not isinstance(quality, dict) or quality.get("verdict") != "do not use":
+        return None
+    reasons = quality.get("reasons")
+    said = "; ".join(map(str, reasons)) if isinstance(reasons, list) else "see its report"
+    return f"the camera file {path} says of itself: do not use: {said}"
+
+
+def write_camera_json(camera: Camera, path: str | Path, record: Mapping[str, object] | None = None) -> None:
+    """Write a camera in autoreg's own format, whole or not at all.
+
+    Args:
+        camera: the camera.
+        path: where.
+        record: what else to say of it: its accuracy, where it is valid, how it was made.
+    """
     path = Path(path)
     names = ("width", "height", "fx", "fy", "cx", "cy")
     fields: dict[str, object] = {name: getattr(camera, name) for name in names}
     # Five coefficients unless the rational ones are used: more programs understand the short form.
     fields["dist"] = list(camera.dist if any(camera.dist[5:]) else camera.dist[:5])
+    fields |= record or {}
     beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         beside.write_text(json.dumps(fields, indent=1) + "\n", encoding="utf-8")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from autoreg.calibration_commands import add_calibration_commands
 from autoreg.cli_render import (
     DemoOption,
     DofOption,
@@ -209,6 +210,9 @@ def _exit_codes() -> Generator[None]:
     except KeyboardInterrupt:
         _tell("interrupted; every file that was written is whole")
         raise typer.Exit(INTERRUPTED) from None
+
+
+add_calibration_commands(app, _exit_codes)
 
 
 def _run(job: Job, *, as_json: bool) -> None:

@@ -13,6 +13,7 @@ from PIL import Image
 
 _ORIENTATION, _FOCAL_MM, _FOCAL_35MM = 0x0112, 0x920A, 0xA405
 _F_NUMBER = 0x829D
+_MAKER, _MODEL = 0x010F, 0x0110
 _PIXEL_WIDTH, _PIXEL_HEIGHT = 0xA002, 0xA003
 _PLANE_X_RESOLUTION, _PLANE_UNIT, _DIGITAL_ZOOM = 0xA20E, 0xA210, 0xA404
 _EXIF_IFD = 0x8769
@@ -50,6 +51,8 @@ class Exif:
     plane_pixels_per_mm: float | None = None
     digital_zoom: float | None = None
     f_number: float | None = None
+    maker: str | None = None
+    model: str | None = None
 
 
 def read_exif(data: bytes) -> Exif:
@@ -65,6 +68,7 @@ def read_exif(data: bytes) -> Exif:
                 exif = Image.open(io.BytesIO(data)).getexif()
             details = exif.get_ifd(_EXIF_IFD)
             orientation = exif.get(_ORIENTATION)
+            maker, model = (_words(exif.get(tag)) for tag in (_MAKER, _MODEL))
     except Exception:
         # Pillow fails on broken EXIF in ways it does not list; a photo without EXIF is a photo all the same.
         return Exif()
@@ -81,7 +85,14 @@ def read_exif(data: bytes) -> Exif:
         plane_pixels_per_mm=resolution / unit if resolution and unit else None,
         digital_zoom=_positive(details.get(_DIGITAL_ZOOM)),
         f_number=_positive(details.get(_F_NUMBER)),
+        maker=maker,
+        model=model,
     )
+
+
+def _words(value: object) -> str | None:
+    text = " ".join(str(value).replace("\0", " ").split()) if isinstance(value, str) else ""
+    return text or None
 
 
 def focal_from_exif(exif: Exif, width: int, height: int) -> tuple[float | None, str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from autoreg.alignment import Alignment
 from autoreg.camera import Camera, fit_to_photo
-from autoreg.camera_files import read_camera
+from autoreg.camera_files import distrust, read_camera
 from autoreg.errors import Refusal, RenderError
 from autoreg.image import Photo, load_photo
 from autoreg.outputs import clear_results, usable_folder, write_png, write_whole
@@ -164,8 +164,9 @@ def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:
         photo_turned=photo.turned,
         photo_mirrored=photo.mirrored,
     )
-    if note:
-        listener.note(note)
+    for said in (note, distrust(job.camera)):
+        if said:
+            listener.note(said)
     return camera
 
 

@@ -322,5 +322,3 @@ def test_a_rendered_camera_that_is_not_the_photos_is_an_error_and_no_picture():
 
     with pytest.raises(RenderError, match=r"rendered joints lie \d\.\d+ px rms"):
         render(Elsewhere(), plan_for(), photo_for())
-
-
