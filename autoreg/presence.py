@@ -22,7 +22,7 @@ from autoreg.geometry import Rigid
 from autoreg.joint_looks import Strip
 from autoreg.profiles import sample_profiles
 from autoreg.refine import Fit
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, Stations, visible_sides
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, Stations, inside_convex, visible_sides
 
 # The controls lie between these shares of the spacing off the predicted joint. Few sides get many controls
 # each, so that the p-values are fine enough.
@@ -78,7 +78,13 @@ class Presence:
     def nearest(self, share: float) -> Presence:
         """The given share of the sides, the largest in the picture first."""
         count = max(1, round(share * len(self.p)))
-        rows = np.sort(np.argsort(-self.size_px, kind="stable")[:count])
+        return self._take(np.sort(np.argsort(-self.size_px, kind="stable")[:count]))
+
+    def inside(self, field: Float[np.ndarray, "k 2"]) -> Presence:
+        """The sides whose middle lies in a convex counter-clockwise polygon."""
+        return self._take(np.flatnonzero(inside_convex(self.sides.ends.mean(1), field, 0.0)))
+
+    def _take(self, rows: np.ndarray) -> Presence:
         return Presence(self.sides.take(rows), self.p[rows], self.size_px[rows], self.beaten[rows])
 
 

@@ -29,8 +29,10 @@ STEP_SIGMA = 0.004
 # Combs with less are not looked into.
 WORTH_NATS = 6.0
 FEWEST_LINES = 6
-# Mean p-values of joints that are absent and of those that are there, and how many lines may be missing.
-ABSENT_P, SEEN_P, MOST_MISSING = 0.3, 0.1, 0.1
+# Mean p-value of joints that are absent, beyond that of the others, and how many lines may be missing.
+ABSENT_P, MOST_MISSING = 0.3, 0.1
+# Share of an unbroken joint that may be hidden or worn.
+MOST_GAPS = 0.3
 # Half slabs from one gap of a joint to the next, in herringbone of slabs of two and of three squares.
 GAP_PERIODS = (4, 6, 8, 12)
 
@@ -98,10 +100,13 @@ def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) 
 def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int, int]) -> Rows | None:
     """The rows of a fit, if its joints are unbroken and even and cross joints lie between them."""
     presence = presence_of(picture, fit)
-    if len(presence.p) < 6 or _interrupted(picture, fit):
+    if len(presence.p) < 6:
         return None
-    cross = find_cross_joints(segments, fit, field_polygon(presence), size)
-    if len(cross.middle) == 0 or not _evenly_spaced(presence):
+    field = field_polygon(presence)
+    if _interrupted(picture, fit, field):
+        return None
+    cross = find_cross_joints(segments, fit, field, size)
+    if len(cross.middle) == 0 or not _evenly_spaced(presence, field):
         return None
     x, _ = line_evidence(presence, fit.grid)
     middle = np.median(cross.middle, axis=0)
@@ -111,36 +116,38 @@ def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int,
     return Rows(Paving(fit, presence, (x, cross.evidence_nats)), on_joint)
 
 
-def _interrupted(picture: Float[np.ndarray, "h w"], fit: Fit) -> bool:
-    """Whether the joints break off at regular intervals, as those of herringbone do.
+def _interrupted(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np.ndarray, "k 2"]) -> bool:
+    """Whether the joints break off at regular intervals, as those of herringbone do, or all too often.
 
     Where along a joint the slabs begin is not known, so that pieces of half a slab are looked at: one of a
     gap's pieces at least is wholly without a joint. The gaps advance evenly from joint to joint.
     """
     across = fit.grid.spacing_y
-    halves = presence_of(picture, replace(fit, grid=Grid(across / 2.0, across)))
+    halves = presence_of(picture, replace(fit, grid=Grid(across / 2.0, across))).inside(field)
     rows = np.flatnonzero(halves.sides.family == ALONG_X)
-    line, p = halves.sides.line[rows], halves.p[rows]
-    piece = np.round(halves.sides.ends[rows].mean(1)[:, 0] / (across / 2.0) - 0.5).astype(int)
-    if len(rows) == 0 or np.median(p) > SEEN_P:
+    if len(rows) == 0:
         return False
+    line, p = halves.sides.line[rows], halves.p[rows]
+    if np.mean(p > ABSENT_P) > MOST_GAPS:
+        return True
+    piece = np.round(halves.sides.ends[rows].mean(1)[:, 0] / (across / 2.0) - 0.5).astype(int)
     for period in GAP_PERIODS:
         for advance in range(period):
             residue = (piece - line * advance) % period
             count = np.bincount(residue, minlength=period)
             mean = np.bincount(residue, weights=p, minlength=period) / np.maximum(count, 1)
-            if mean[count >= 6].max(initial=0.0) > ABSENT_P and np.median(mean) < SEEN_P:
+            if mean[count >= 6].max(initial=0.0) > ABSENT_P + np.median(mean):
                 return True
     return False
 
 
-def _evenly_spaced(presence: Presence) -> bool:
+def _evenly_spaced(presence: Presence, field: Float[np.ndarray, "k 2"]) -> bool:
     """Whether enough lines are there, and hardly any that the spacing predicts is not.
 
     Courses of uneven width would leave whole lines of an even spacing in the middle of slabs. Few lines do
     not fix the tilt of the ground by their spacing.
     """
-    near = presence.nearest(0.7)
+    near = presence.inside(field)
     _, index, count = np.unique(near.sides.line, return_inverse=True, return_counts=True)
     mean = np.bincount(index, weights=near.p) / count
     judged = count >= 3

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -43,6 +45,19 @@ def test_the_spacing_and_phase_of_a_comb_are_found_and_neither_half_nor_twice(sp
     joints = 0.01 * np.arange(phase * spacing, LINES, spacing)
     off = np.mod(joints - best.phase + 0.5 * best.spacing, best.spacing) - 0.5 * best.spacing
     assert np.median(np.abs(off)) < 0.02
+
+
+def test_a_comb_is_found_in_the_part_of_the_ground_where_it_is():
+    whole, noise = family(24.0, 5.0), family(None, seed=3)
+    evidence = noise.evidence.copy()
+    evidence[60:220, :120] = whole.evidence[60:220, :120]
+    part = replace(whole, evidence=evidence)
+    best = best_combs(part, local=True)[0]
+    assert best.spacing == pytest.approx(0.24, rel=0.03)
+    assert best.lines == pytest.approx((0.77, 2.0), abs=0.25)
+    assert best.along[1] < 130.0
+    everywhere = best_combs(part)
+    assert not everywhere or everywhere[0].score < 0.7 * best.score
 
 
 @pytest.mark.parametrize("spacing", [20.0, 37.5])

@@ -140,6 +140,19 @@ def test_a_lone_side_far_off_does_not_stretch_the_field():
     assert field_polygon(replace(presence, p=p)) == pytest.approx(field_polygon(presence))
 
 
+def test_sides_with_no_more_support_than_what_lies_beside_them_are_clutter():
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 12.0))
+    middle, rng = sides.ends.mean(1), np.random.default_rng(0)
+    paved = (middle < 6.01).all(1)
+    # Beside smooth slabs everything in clutter has more support than most controls of the photo.
+    p = np.where(paved, 0.01, rng.uniform(0.0, 0.15, len(sides)))
+    beaten = np.where(paved, 0.0, rng.uniform(0.0, 1.0, len(sides)))
+    presence = Presence(sides, p, np.full(len(sides), 20.0), beaten)
+    field = field_polygon(presence)
+    assert inside_convex(middle[(middle < 5.6).all(1) & (middle > 0.4).all(1)], field, 0.0).all()
+    assert field.max() < 7.2
+
+
 def test_no_sides_span_no_field():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 3.0)).take(np.zeros(0, int))
     with pytest.raises(ValueError, match="no sides"):

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from paved import STACK, fit_of, gray_of
+
+from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving
+from autoreg.presence import presence_of
+from autoreg.refusals import FEW_SIDES, ambiguous, camera_contradicted, no_lattice
+from autoreg.stations import Grid
+from autoreg.synthetic import SyntheticPhoto
+
+
+@pytest.fixture(scope="module")
+def paving(stack_photo: SyntheticPhoto) -> Paving:
+    fit = fit_of(stack_photo)
+    return Paving(fit, presence_of(gray_of(stack_photo), fit), (1.0, 1.0))
+
+
+def test_nothing_found_is_no_lattice():
+    refusal = no_lattice(None, None)
+    assert (refusal.code, refusal.measured) == ("no_lattice", 0.0)
+    assert refusal.limit == pytest.approx(TESTED_NATS + FALSE_ALARM_NATS, abs=0.01)
+
+
+def test_evidence_in_one_family_alone_is_one_direction(paving: Paving):
+    refusal = no_lattice(replace(paving, evidence_nats=(60.0, 2.0)), None)
+    assert (refusal.code, refusal.measured) == ("one_direction", 2.0)
+    assert "both directions" in refusal.message
+
+
+def test_a_few_clear_sides_are_too_few(paving: Paving):
+    few = paving.presence.nearest((FEW_SIDES - 2) / len(paving.presence.p))
+    refusal = no_lattice(replace(paving, presence=few, evidence_nats=(11.0, 11.0)), None)
+    assert refusal.code == "too_few_joints"
+    assert str(len(few.p)) in refusal.message
+
+
+def test_an_ambiguous_photo_names_both_lattices(paving: Paving):
+    a, b = STACK.spacing_m
+    other = replace(paving, fit=replace(paving.fit, grid=Grid(2 * a, b, 0.5)))
+    refusal = ambiguous(paving, other)
+    assert refusal.code == "ambiguous"
+    assert "stack bond of" in refusal.message
+    assert "running bond with shift 0.50" in refusal.message
+
+
+@pytest.mark.parametrize(("given", "seen", "blamed"), [(1000.0, 1030.0, False), (1000.0, 1200.0, True)])
+def test_a_camera_is_blamed_only_for_another_focal_length(given: float, seen: float, blamed: bool):
+    refusal = camera_contradicted(given, seen)
+    assert (refusal is not None) == blamed
+    if refusal is not None:
+        assert refusal.code == "camera_contradicted"
+        assert np.isclose([refusal.measured or 0.0, refusal.limit or 0.0], [seen, given]).all()

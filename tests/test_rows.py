@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from paved import CAMERA, STACK
+
+from autoreg.paving import PlaneCombs, comb_planes, looks_at
+from autoreg.rows import Rows, lay_rows
+from autoreg.segments import Segments, detect_segments
+
+PX_PER_M, EXTENT_M = 160, 8.0
+JOINT, SLAB = 70, 150
+
+
+def seen_from_the_camera(top_view: np.ndarray) -> np.ndarray:
+    """A picture of the ground as the stack photo's camera sees it; the origin is the top view's middle."""
+    R, t = STACK.cam_from_ground.R, STACK.cam_from_ground.t
+    half = 0.5 * top_view.shape[0] / PX_PER_M
+    ground_from_px = np.array([[1 / PX_PER_M, 0, -half], [0, 1 / PX_PER_M, -half], [0, 0, 1]])
+    K = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
+    H = K @ np.column_stack([R[:, :2], t]) @ ground_from_px
+    smooth = cv2.GaussianBlur(top_view, (0, 0), 1.0)
+    return cv2.warpPerspective(smooth, H, (CAMERA.width, CAMERA.height), flags=cv2.INTER_AREA)
+
+
+def blank() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    size = int(EXTENT_M * PX_PER_M)
+    return np.clip(rng.normal(SLAB, 4.0, (size, size)), 0, 255).astype(np.uint8)
+
+
+def ashlar(across_m: float) -> np.ndarray:
+    """Unbroken joints at an even spacing, slabs of random length between them."""
+    rng, picture = np.random.default_rng(1), blank()
+    step, size = round(across_m * PX_PER_M), blank().shape[0]
+    for y in range(0, size, step):
+        picture[y : y + 3] = JOINT
+        x = 0
+        while x < size:
+            picture[y : y + step, x : x + 3] = JOINT
+            x += round(rng.uniform(0.7, 2.2) * step)
+    return picture
+
+
+def herringbone(across_m: float) -> np.ndarray:
+    """Slabs twice as long as wide, laid in herringbone along the axes."""
+    picture, step = blank(), round(across_m * PX_PER_M)
+    count = picture.shape[0] // step + 2
+    for i in range(-1, count):
+        for j in range(-1, count):
+            x, y = i * step, j * step
+            if (i + j) % 4 == 0:
+                cv2.rectangle(picture, (x, y), (x + 2 * step, y + step), JOINT, 3)
+            if (i + j) % 4 == 2:
+                cv2.rectangle(picture, (x, y), (x + step, y + 2 * step), JOINT, 3)
+    return picture
+
+
+def rows_in(picture: np.ndarray) -> tuple[Rows | None, PlaneCombs, Segments]:
+    looks, segments = looks_at(picture), detect_segments(picture)
+    planes = comb_planes(looks, segments, [(CAMERA, STACK.cam_from_ground.R)], free_focal=False)
+    return lay_rows(looks.picture, planes[0], segments, (CAMERA.width, CAMERA.height)), planes[0], segments
+
+
+@pytest.fixture(scope="module")
+def ashlar_rows() -> Rows:
+    rows, _, _ = rows_in(seen_from_the_camera(ashlar(0.3)))
+    assert rows is not None
+    return rows
+
+
+def test_random_ashlar_tells_the_spacing_of_its_unbroken_joints_and_the_ground(ashlar_rows: Rows):
+    assert ashlar_rows.margin_nats > 0
+    fit = ashlar_rows.paving.fit
+    height = float(fit.cam_from_ground.origin_in_a[2])
+    assert fit.grid.spacing_x is None
+    assert fit.grid.spacing_y / height == pytest.approx(0.3 / 1.6, rel=0.01)
+    up = float(fit.cam_from_ground.R[:, 2] @ STACK.cam_from_ground.R[:, 2])
+    assert np.rad2deg(np.arccos(np.clip(up, -1, 1))) < 0.5
+
+
+def test_the_crossing_to_start_from_lies_on_an_unbroken_joint(ashlar_rows: Rows):
+    line = ashlar_rows.crossing[1] / ashlar_rows.paving.grid.spacing_y
+    assert line == pytest.approx(round(line), abs=1e-9)
+
+
+def test_unbroken_joints_without_cross_joints_are_no_rows():
+    boards = blank()
+    step = round(0.3 * PX_PER_M)
+    for y in range(0, boards.shape[0], step):
+        boards[y : y + 3] = JOINT
+    rows, _, _ = rows_in(seen_from_the_camera(boards))
+    assert rows is None or rows.margin_nats < 0
+
+
+def test_joints_that_break_off_regularly_are_herringbone_and_no_rows():
+    rows, _, _ = rows_in(seen_from_the_camera(herringbone(0.3)))
+    assert rows is None or rows.margin_nats < 0
