@@ -8,7 +8,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
-from autoreg.directions import CUTOFF_SIGMAS, SegmentRays, camera_rays, segment_rays, single_directions
+from autoreg.directions import (
+    CUTOFF_SIGMAS,
+    SegmentRays,
+    agreement,
+    camera_rays,
+    segment_rays,
+    single_directions,
+)
 from autoreg.frames import FrameFit, fit_step, frames_of_pairs, frames_through, image_dirs, memberships
 from autoreg.segments import Segments
 
@@ -20,6 +27,8 @@ STEEP_RAD = np.radians(42.0)
 FRONTAL_RAD, PLUMB_RAD = np.radians(25.0), np.radians(2.5)
 # The longest so many segments find the candidates; all of them score the survivors.
 VOTERS = 350
+# So many of another direction than the strongest one take part in any case.
+OTHER_VOTERS = 150
 # Candidates looked at for repetitions, and candidates fitted; a longer list asked for finds no more.
 STARTED, FITTED = 192, 60
 # Joints this close to the horizon are too short to be seen as joints.
@@ -105,7 +114,7 @@ def _search(
     max_hypotheses: int,
 ) -> _Found:
     """Fitted frames, best first. The prior is the mean and spread of the logarithm of the focal length."""
-    voters = rays.take(np.arange(min(len(rays), VOTERS)))
+    voters = _voters(rays)
     seeds = _seeds(voters) if len(voters) else np.zeros(0, int)
     first = single_directions(voters, seeds, count=24, apart_rad=np.radians(2.0))
     fit = frames_through(voters, first, log_focals, peaks=5 if prior is None else 3, may_vote=_lies_on_ground)
@@ -131,6 +140,21 @@ def _search(
     order = order[_distinct_frames(member[order], rays.weight, REPETITION)]
     order = _both_kinds(fit.R, order, max_hypotheses)
     return _Found(fit.take(order), support[order], score[order])
+
+
+def _voters(rays: SegmentRays) -> SegmentRays:
+    """The longest segments, and the longest of those that the strongest direction does not explain.
+
+    Unbroken joints are long and many; beside them the short cross joints would have no say.
+    """
+    longest = np.arange(min(len(rays), VOTERS))
+    if len(rays) <= VOTERS:
+        return rays
+    strongest = single_directions(rays.take(longest), longest[:40], count=1, apart_rad=np.radians(2.0))
+    if not len(strongest):
+        return rays.take(longest)
+    others = np.flatnonzero(agreement(rays, strongest)[0] == 0.0)[:OTHER_VOTERS]
+    return rays.take(np.union1d(longest, others))
 
 
 def _seeds(rays: SegmentRays, count: int = 80) -> np.ndarray:

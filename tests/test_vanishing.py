@@ -16,6 +16,7 @@ from autoreg.errors import Refusal
 from autoreg.geometry import angle_between_rotations
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.segments import Segments, detect_segments
+from autoreg.synthetic import look_at_ground
 from autoreg.vanishing import manhattan_frame
 
 CAMERA = Camera(1600, 1200, 1500.0, 1510.0, 790.0, 610.0)
@@ -232,3 +233,21 @@ def test_the_true_floor_of_each_ray_traced_scene_is_among_the_first_candidates()
         if min(known) > 0.3 or min(unknown) > 3.0:
             missed.append((truth["name"], min(known), min(unknown)))
     assert not missed
+
+
+def test_short_cross_joints_have_a_say_beside_many_long_unbroken_ones():
+    camera = Camera.from_focal(1600, 1200, 1400.0)
+    pose = look_at_ground(pitch_deg=38.0, height_m=3.3, heading_deg=5.0)
+    rng, ends = np.random.default_rng(0), []
+    for y in np.arange(1.0, 9.0, 0.08):
+        # Unbroken joints are found in long pieces, the joints across them one by one.
+        for x in np.arange(-4.0, 4.0, 0.8):
+            ends.append([[x, y], [x + 0.8, y]])
+        ends += [[[x, y], [x, y + 0.07]] for x in rng.uniform(-4.0, 4.0, 12)]
+    R = pose.R
+    px = camera.project(np.array(ends) @ R[:, :2].T + pose.t)
+    px = px[((px > 0) & (px < [1599, 1199])).all((1, 2))] + rng.normal(0, 0.2, (1, 2, 2))
+    segments = Segments(px, np.full(len(px), 0.2), np.zeros(len(px), int))
+    found = ground_planes(segments, camera, max_hypotheses=3)
+    assert found
+    assert np.rad2deg(np.arccos(np.clip(found[0].R[:, 2] @ R[:, 2], -1, 1))) < 1.0
