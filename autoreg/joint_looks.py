@@ -90,8 +90,7 @@ def joint_polarity(
     """
     signs: list[int] = []
     for family in (ALONG_X, ALONG_Y):
-        rows = np.flatnonzero(stations.family == family)
-        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)] if len(rows) else rows
+        rows = _sample(stations.family == family)
         across = side[1] if family == ALONG_X else side[0]
         width_px = np.maximum(max(strip.width[family], 0.015 * across) * profiles.px_per_unit[rows], 1.0)
         looks = fit_offsets(profiles.take(rows), start[rows], width_px, strip.blur_px, iterations=3)
@@ -121,12 +120,7 @@ def estimate_strip(
     Near what is known of them, unless `thorough`.
     """
     width, blur = list(strip.width), strip.blur_px
-    samples: list[np.ndarray] = []
-    for family in (ALONG_X, ALONG_Y):
-        rows = np.flatnonzero(usable & (stations.family == family))
-        if len(rows):
-            rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)]
-        samples.append(rows)
+    samples = [_sample(usable & (stations.family == family)) for family in (ALONG_X, ALONG_Y)]
     for family, rows in enumerate(samples):
         if len(rows) < 6:
             continue
@@ -150,11 +144,17 @@ def estimate_strip(
             if misfits[1] < misfits[0] + NO_JOINT_BONUS:
                 width[family] = NO_JOINT * across
     rows = np.concatenate(samples)
-    width_px = np.where(stations.family == ALONG_X, width[0], width[1]) * profiles.px_per_unit
+    strip = replace(strip, width=(width[0], width[1]))
+    width_px = width_px_of(strip, stations, profiles)
     blurs = BLURS if thorough else np.clip(blur * NEARBY, BLURS[0], BLURS[-1])
     costs = [strip_misfit(profiles, rows, offsets.offset_px, width_px, float(b)) for b in blurs]
-    blur = _lowest(np.log(blurs), np.array(costs))
-    return replace(strip, width=(width[0], width[1]), blur_px=blur)
+    return replace(strip, blur_px=_lowest(np.log(blurs), np.array(costs)))
+
+
+def _sample(mask: np.ndarray) -> np.ndarray:
+    """Index of some of the stations that a mask selects, spread evenly over them."""
+    rows = np.flatnonzero(mask)
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)] if len(rows) else rows
 
 
 def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: float) -> float:

@@ -124,9 +124,8 @@ def _combed(
 
 def lay_combs(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:
     """The lattice that the best combs of a plane lead to: for joints that repeat as whole lines."""
-    if not (plane.x and plane.y):
-        return None
-    return _laid(looks, plane, _comb_start(plane.R, plane.x[0], plane.y[0]), free)
+    start = _best_start(plane)
+    return None if start is None else _laid(looks, plane, start, free)
 
 
 def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ...]:
@@ -149,8 +148,9 @@ def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ..
 
 
 def _starts(looks: Looks, plane: PlaneCombs) -> Iterator[_Start]:
-    if plane.x and plane.y:
-        yield _comb_start(plane.R, plane.x[0], plane.y[0])
+    best = _best_start(plane)
+    if best is not None:
+        yield best
     if plane.score < HOPELESS_NATS:
         return
     for look in (looks.coarse, looks.fine):
@@ -183,6 +183,11 @@ class _Start:
             and abs(self.grid.shift - other.grid.shift) < 0.03
             and (self.field is None) == (other.field is None)
         )
+
+
+def _best_start(plane: PlaneCombs) -> _Start | None:
+    """The start from a plane's best combs, if there are any along both axes."""
+    return _comb_start(plane.R, plane.x[0], plane.y[0]) if plane.x and plane.y else None
 
 
 def _comb_start(R: np.ndarray, b: Comb, a: Comb) -> _Start:

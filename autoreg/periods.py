@@ -92,18 +92,18 @@ def _lower_quantiles(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     return float(ordered[at[0]]), float(ordered[at[1]])
 
 
+def line_pieces(family: Family) -> tuple[Float[np.ndarray, "n p"], Bool[np.ndarray, "n p"]]:
+    """Support of each line piece by piece, and which pieces are seen."""
+    support, seen = line_support(family, np.arange(0, family.evidence.shape[1], PIECE))
+    return support, seen > 0.6 * PIECE
+
+
 def line_z(
-    family: Family, window: tuple[float, float] = (0.0, 1.0)
+    support: Float[np.ndarray, "n p"],
+    counted: Bool[np.ndarray, "n p"],
+    window: tuple[float, float] = (0.0, 1.0),
 ) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Robust z-score of the support of each line over a window of its length, and where it is known."""
-    edges = np.arange(0, family.evidence.shape[1], PIECE)
-    support, seen = line_support(family, edges)
-    return _window_z(support, seen > 0.6 * PIECE, window)
-
-
-def _window_z(
-    support: Float[np.ndarray, "n p"], counted: Bool[np.ndarray, "n p"], window: tuple[float, float]
-) -> tuple[Float[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     first, last = (round(share * support.shape[1]) for share in window)
     support, counted = support[:, first:last], counted[:, first:last]
     pieces = counted.sum(1)
@@ -113,7 +113,7 @@ def _window_z(
 
 
 @dataclass(frozen=True)
-class _Lines:
+class Lines:
     """The lines of combs: those of spacing s are `count[s]` rows from `start[s]`, a column is a phase.
 
     `index` is each line's place in a table that is finer than the rows, so that no row need be searched for.
@@ -144,7 +144,7 @@ class _Lines:
         return slice(int(self.start[s]), int(self.start[s] + self.count[s]))
 
 
-def _predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray, " s"]) -> _Lines:
+def predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray, " s"]) -> Lines:
     """All lines of every spacing and phase between the first and the last offset."""
     low, high = float(offset[0]), float(offset[-1])
     row = np.rint(np.interp(np.linspace(low, high, TABLE), offset, np.arange(len(offset)))).astype(int)
@@ -158,29 +158,23 @@ def _predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray
     index = np.rint((line[:, None] + phase) * spacing - np.float32(low * scale)).astype(np.int32)
     outside = (index < 0) | (index >= TABLE)
     index[outside] = 0
-    return _Lines(spacings, start, count, first, index, outside, row, np.gradient(offset)[row])
+    return Lines(spacings, start, count, first, index, outside, row, np.gradient(offset)[row])
 
 
 def comb_scores(
-    llr: Float[np.ndarray, " n"],
-    valid: Bool[np.ndarray, " n"],
-    offset: Float[np.ndarray, " n"],
-    spacings: Float[np.ndarray, " s"],
+    lines: Lines,
+    gain: Float32[np.ndarray, "lines phases"],
+    told: Bool[np.ndarray, "lines phases"],
     *,
     min_lines: int = 2,
 ) -> Float[np.ndarray, "s phases"]:
     """Sum of the log likelihood ratios of every predicted line, for each spacing and phase."""
-    lines = _predicted_lines(offset, spacings)
-    return _whole_scores(lines, *lines.gain(llr, valid), min_lines)
-
-
-def _whole_scores(lines: _Lines, gain: np.ndarray, told: np.ndarray, min_lines: int = 2) -> np.ndarray:
     total = np.add.reduceat(gain, lines.start, axis=0)
     count = np.add.reduceat(told.astype(np.float32), lines.start, axis=0)
     return np.where(count >= min_lines, total, -np.inf).astype(float)
 
 
-def _run_scores(lines: _Lines, gain: Float32[np.ndarray, "lines phases"]) -> Float32[np.ndarray, "s phases"]:
+def _run_scores(lines: Lines, gain: Float32[np.ndarray, "lines phases"]) -> Float32[np.ndarray, "s phases"]:
     """The largest sum over successive lines, for each spacing and phase (Kadane's algorithm).
 
     Paving may end before the picture does.
@@ -212,18 +206,16 @@ def best_combs(family: Family, *, count: int = 4, local: bool = False) -> tuple[
     With `local`, lines that are there in a part of the ground only are found as well, at the price of the
     part's choice.
     """
-    edges = np.arange(0, family.evidence.shape[1], PIECE)
-    support, seen = line_support(family, edges)
-    counted = seen > 0.6 * PIECE
-    z, valid = _window_z(support, counted, WINDOWS[0])
+    support, counted = line_pieces(family)
+    z, valid = line_z(support, counted)
     if valid.sum() < 20:
         return ()
     spacings = _spacings(family.offset, valid)
-    lines = _predicted_lines(family.offset, spacings)
+    lines = predicted_lines(family.offset, spacings)
     gain, told = lines.gain(blurred(log_likelihood_ratio(z)), valid)
-    found = list(distinct(spacings, _whole_scores(lines, gain, told), count))
+    found = list(distinct(spacings, comb_scores(lines, gain, told), count))
     for window in WINDOWS if local else ():
-        z, valid = _window_z(support, counted, window)
+        z, valid = line_z(support, counted, window)
         if valid.sum() < 20:
             continue
         gain, _ = lines.gain(blurred(log_likelihood_ratio(z)), valid)
@@ -240,7 +232,7 @@ def best_combs(family: Family, *, count: int = 4, local: bool = False) -> tuple[
 
 def _spacings(offset: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " s"]:
     span = float(np.ptp(offset[valid]))
-    return np.geomspace(max(5.0 * float(np.diff(offset).min()), span / 150.0), span / 1.5, 400)
+    return np.geomspace(max(MIN_STEP * float(np.diff(offset).min()), span / 150.0), span / 1.5, 400)
 
 
 def distinct(spacings: np.ndarray, scores: np.ndarray, count: int, apart: float = 0.025) -> tuple[Comb, ...]:

@@ -15,9 +15,11 @@ from autoreg.periods import (
     blurred,
     comb_scores,
     distinct,
+    line_pieces,
     line_z,
     local_z,
     log_likelihood_ratio,
+    predicted_lines,
 )
 from autoreg.rectify import Family, Rectified
 
@@ -34,6 +36,12 @@ def family(spacing_rows: float | None, phase_rows: float = 0.0, *, missing: int 
         evidence[rows] = 0.35 + rng.uniform(-0.3, 0.3, (len(rows), COLUMNS))
     visible = np.ones((LINES, COLUMNS), bool)
     return Family(evidence.astype(np.float32), visible, 0.01 * np.arange(LINES), np.arange(float(COLUMNS)))
+
+
+def scored(llr: np.ndarray, spacings: np.ndarray) -> np.ndarray:
+    """Scores of combs on lines that are all seen, a unit apart."""
+    lines = predicted_lines(np.arange(float(len(llr))), spacings)
+    return comb_scores(lines, *lines.gain(llr, np.ones(len(llr), bool)))
 
 
 @given(st.floats(12.0, 90.0), st.floats(0.0, 1.0))
@@ -125,7 +133,7 @@ def test_a_line_has_a_z_score_only_where_enough_of_it_is_seen():
     seen = family(40.0)
     hidden = seen.visible.copy()
     hidden[:100, 60:] = False
-    z, valid = line_z(Family(seen.evidence, hidden, seen.offset, seen.along))
+    z, valid = line_z(*line_pieces(Family(seen.evidence, hidden, seen.offset, seen.along)))
     assert not valid[:100].any()
     assert valid[100:].all()
     assert z[120] > 5.0
@@ -142,7 +150,7 @@ def test_blurring_spreads_a_joint_over_its_neighbours_and_keeps_the_sum_of_ratio
 def test_scores_are_sums_over_the_lines_of_a_comb():
     llr = np.zeros(200)
     llr[30::40] = 2.0
-    scores = comb_scores(llr, np.ones(200, bool), np.arange(200.0), np.array([20.0, 40.0, 80.0]))
+    scores = scored(llr, np.array([20.0, 40.0, 80.0]))
     assert scores.shape == (3, PHASES)
     assert scores[1, round(30 / 40 * PHASES)] == pytest.approx(2.0 * 5)
     # What is not there adds nothing here; it is the negative ratios of slabs that punish too fine a comb.
@@ -150,7 +158,7 @@ def test_scores_are_sums_over_the_lines_of_a_comb():
 
 
 def test_a_comb_needs_two_lines():
-    scores = comb_scores(np.ones(50), np.ones(50, bool), np.arange(50.0), np.array([120.0]))
+    scores = scored(np.ones(50), np.array([120.0]))
     assert np.isneginf(scores).all()
 
 
