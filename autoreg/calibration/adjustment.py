@@ -70,6 +70,11 @@ class State:
     poses: Float[np.ndarray, "v 6"]
     shape: Float[np.ndarray, " s"]
 
+    @property
+    def normals(self) -> Float[np.ndarray, "v 3"]:
+        """Normal of each view's board, in the camera's axes."""
+        return np.array([np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in self.poses])
+
     def part(self, which: Sequence[int] | np.ndarray) -> State:
         """The state of some views."""
         return replace(self, poses=self.poses[np.asarray(which, int)])
@@ -360,8 +365,7 @@ def _projected(
         J[k, ..., : _POSE + COUNT] = np.asarray(by).reshape(most, 2, -1)[..., : _POSE + COUNT]
     if shaped:
         # A corner that leaves the sheet moves as the whole sheet would along its normal.
-        normals = np.array([np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in state.poses])
-        along = np.einsum("vnij,vj->vni", J[..., 3:_POSE], normals)
+        along = np.einsum("vnij,vj->vni", J[..., 3:_POSE], state.normals)
         J[..., _POSE + COUNT :] = along[..., None] * data.basis[:, :, None, :]
     return px, J
 

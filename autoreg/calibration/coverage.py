@@ -50,7 +50,7 @@ def coverage_of(data: Data, state: State, width: int, height: int) -> Coverage:
     for outline in outlines:
         cv2.fillConvexPoly(covered, np.round((outline + 0.5) * scale - 0.5).astype(np.int32), 1)
     middle = np.array([width - 1, height - 1]) / 2
-    normals = np.array([np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in state.poses])
+    normals = state.normals
     sideways = normals[:, :2] * np.sign(normals[:, 2:])
     areas = np.array([cv2.contourArea(outline) for outline in outlines])
     return Coverage(

@@ -120,7 +120,7 @@ def _views(axes: Any, calibration: Calibration) -> None:
 
 
 def _tilts(axes: Any, calibration: Calibration) -> None:
-    normals = np.array([np.asarray(cv2.Rodrigues(pose[:3])[0])[:, 2] for pose in calibration.fit.state.poses])
+    normals = calibration.fit.state.normals
     sideways = normals[:, :2] * np.sign(normals[:, 2:])
     angle = np.degrees(np.arcsin(np.clip(np.linalg.norm(sideways, axis=1), 0, 1)))
     unit = sideways / np.maximum(np.linalg.norm(sideways, axis=1, keepdims=True), 1e-12)
