@@ -20,11 +20,13 @@ NEARBY = np.array([0.72, 0.86, 1.0, 1.16, 1.4])
 SETTLED = 0.03
 # Joint width, in slab sides, where tiles meet without a joint.
 NO_JOINT = 0.001
+# A strip laid beside a bare step has half the step's depth; a joint between two tones has more than this.
+LINED = 0.7
 # Joints that are neither dark nor light are not wider than this.
 MOST_NEUTRAL = 0.05
 # A strip has one tone more than a step to fit noise with, of about ten independent values: what that buys, in
-# mean log variance.
-NO_JOINT_BONUS = 0.1
+# mean log variance; and the part of the variance that it must explain, lest it only bend a step's shape.
+NO_JOINT_BONUS, NO_JOINT_GAIN = 0.1, 0.01
 # Stations of either family that tell the looks.
 SAMPLE = 90
 
@@ -95,7 +97,7 @@ def joint_polarity(
         width_px = np.maximum(max(strip.width[family], 0.015 * across) * profiles.px_per_unit[rows], 1.0)
         looks = fit_offsets(profiles.take(rows), start[rows], width_px, strip.blur_px, iterations=3)
         strong = looks.strength > 0.4
-        lined = strong & (np.abs(looks.depth) > 0.5 * np.abs(looks.step))
+        lined = strong & (np.abs(looks.depth) > LINED * np.abs(looks.step))
         # In a floor of two tones the steps outweigh whatever lies between the tiles.
         if lined.sum() < max(6, 0.4 * strong.sum()):
             signs.append(0)
@@ -141,7 +143,8 @@ def estimate_strip(
             ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
             some = profiles.take(rows)
             misfits = [_idea_misfit(some, offsets.offset_px[rows], idea, blur) for idea in ideas]
-            if misfits[1] < misfits[0] + NO_JOINT_BONUS:
+            gain = float(np.exp(misfits[1]) - np.exp(misfits[0]))
+            if misfits[1] < misfits[0] + NO_JOINT_BONUS or gain < NO_JOINT_GAIN:
                 width[family] = NO_JOINT * across
     rows = np.concatenate(samples)
     strip = replace(strip, width=(width[0], width[1]))

@@ -14,12 +14,11 @@ from jaxtyping import Float
 from autoreg.bond import customary_shift
 from autoreg.ground_frame import turned, with_origin
 from autoreg.presence import (
-    FIELD_COST,
-    FIELD_SHARES,
     Pattern,
     Presence,
     best_pattern,
     broken,
+    possible_fields,
     presence_of,
 )
 from autoreg.refine import Fit
@@ -212,9 +211,12 @@ def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
 
 def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
     """Log likelihood ratio of the lattice, per family, over the part of the picture that suits best."""
-    options = [_evidence_of(presence.nearest(share), grid) for share in FIELD_SHARES]
+    options = [
+        tuple(evidence - 0.5 * choice for evidence in _evidence_of(field, grid))
+        for field, choice in possible_fields(presence)
+    ]
     x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
-    return x - 0.5 * FIELD_COST, y - 0.5 * FIELD_COST
+    return x, y
 
 
 def _evidence_of(presence: Presence, grid: Grid) -> tuple[float, float]:

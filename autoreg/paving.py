@@ -7,7 +7,7 @@ joints themselves; then the presence of every single slab side tells the bond.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -20,7 +20,7 @@ from autoreg.image import pyramid
 from autoreg.lattice_choice import Paving, hopeful, settle_bond
 from autoreg.periods import Comb, best_combs
 from autoreg.presence import field_polygon, presence_of
-from autoreg.rectify import Gradient, near_reach, picture_gradient, rectify
+from autoreg.rectify import Gradient, Window, near_reach, picture_gradient, rectify
 from autoreg.refine import Fit, Free, refine
 from autoreg.segments import Segments
 from autoreg.sharpen import sharpen
@@ -32,8 +32,12 @@ CERTAIN_NATS = 40.0
 MOST_STARTS = 6
 # The most places at which joints are measured while a lattice is looked for.
 STATIONS = 700
+# How far a fit looks in its rounds, in camera heights, as it grows from the feet, and in a known field.
+OUTWARDS, IN_FIELD = (2.5, 4.0, 7.0), (9.0, 9.0, 9.0)
 # Grounds that are looked at a second time.
 SHARPENED = 6
+# What is seen around the field of a comb when it is looked at by itself, in spacings, and the choice's price.
+ZOOM_MARGIN, ZOOM_NATS = 2.0, 2.0
 # Sides that tell whether a start is worth following.
 GLANCE_SIDES = 600
 # Size of the first look, and its and the second look's numbers of rows on the ground.
@@ -109,7 +113,9 @@ def comb_planes(
     for k, plane in enumerate(planes[:SHARPENED]):
         sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
         again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
-        planes[k] = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
+        best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
+        near = _zoomed(looks.fine, best)
+        planes[k] = near if near is not None and near.score > best.score else best
     return sorted(planes, key=lambda plane: -plane.score)
 
 
@@ -120,6 +126,36 @@ def _combed(
     if rectified is None:
         return None
     return PlaneCombs(camera, R, best_combs(rectified.x, local=local), best_combs(rectified.y, local=local))
+
+
+def _zoomed(look: Look, plane: PlaneCombs) -> PlaneCombs | None:
+    """The plane with the combs of both families where its clearest local comb lies."""
+    families = enumerate((plane.x, plane.y))
+    local = [(comb, axis) for axis, combs in families for comb in combs if np.isfinite(comb.lines).all()]
+    if not local:
+        return None
+    comb, axis = max(local, key=lambda pair: pair[0].score)
+    margin = ZOOM_MARGIN * comb.spacing
+    across, along = (comb.lines[0] - margin, comb.lines[1] + margin), comb.along
+    x, y = (along, across) if axis == 0 else (across, along)
+    window = Window((x[0], y[0]), (x[1], y[1]))
+    rectified = rectify(
+        look.gradient, plane.camera.scaled(*look.gradient.size), plane.R, size=look.lines, window=window
+    )
+    if rectified is None:
+        return None
+    families = (best_combs(family, local=True) for family in (rectified.x, rectified.y))
+    x_combs, y_combs = (
+        tuple(_within(replace(c, score=c.score - ZOOM_NATS), lines, reach) for c in combs)
+        for combs, lines, reach in zip(families, (y, x), (x, y), strict=True)
+    )
+    return replace(plane, x=x_combs, y=y_combs)
+
+
+def _within(comb: Comb, lines: tuple[float, float], along: tuple[float, float]) -> Comb:
+    """A comb with its field cut to a part of the ground."""
+    cut = ((max(a[0], b[0]), min(a[1], b[1])) for a, b in ((comb.lines, lines), (comb.along, along)))
+    return replace(comb, lines=next(cut), along=next(cut))
 
 
 def lay_combs(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:
@@ -227,11 +263,13 @@ def fit_outwards(
     free: Free,
     field: Float[np.ndarray, "k 2"] | None = None,
 ) -> Fit | None:
-    """The fit that a start grows to, from the camera's feet outwards."""
+    """The fit that a start grows to: from the camera's feet outwards, or within a field that is known."""
     camera = plane.camera.scaled(picture.shape[1], picture.shape[0])
+    reaches = OUTWARDS if field is None else IN_FIELD
     return refine(
-        picture, camera, cam_from_ground, grid, free=free, search=0.2, reaches=(2.5, 4.0, 7.0), limit=STATIONS
-    )
+        picture, camera, cam_from_ground, grid,
+        free=free, search=0.2, reaches=reaches, field=field, limit=STATIONS,
+    )  # fmt: skip
 
 
 def refine_in_field(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np.ndarray, "k 2"]) -> Fit:

@@ -36,9 +36,13 @@ SHARPNESS = 0.2
 MISSED = (0.1, 0.25, 0.4, 0.55, 0.7)
 # Sides are compared with controls about as large in the picture.
 SIZE_BINS, BIN_AT_LEAST = 4, 25
-# The paved field may end before the picture does: these shares of the sides, the nearest first, are tried, at
-# the price of the choice.
+# The paved field may end before the picture does: these shares of the sides, the nearest first, are tried,
+# and the best of some boxes of the picture, so large (as a share of it) and so many either way. The choice
+# has its price: half a chance for the shares, half for the boxes.
 FIELD_SHARES = (0.12, 0.2, 0.33, 0.5, 0.7, 1.0)
+BOXES = ((0.7, 2), (0.5, 3), (0.35, 5))
+SHARE_COST = float(np.log(2 * len(FIELD_SHARES)))
+BOX_COST = float(np.log(2 * sum(count * count for _, count in BOXES)))
 # Sides whose p-value is below this are there, if no more of their own controls than the second have as much
 # support; in a field, more than the third share of them.
 PRESENT, BEATEN, FIELD_DENSITY = 0.2, 0.12, 0.45
@@ -47,14 +51,13 @@ PRESENT, BEATEN, FIELD_DENSITY = 0.2, 0.12, 0.45
 CORE_DENSITY, RIM_DENSITY, NEIGHBOURS, RIM = 0.75, 0.55, 1.6, 0.8
 # Mean p-values of a class of sides that is absent, and of one that is there.
 BROKEN_P, PRESENT_P = 0.35, 0.15
-FIELD_COST = float(np.log(len(FIELD_SHARES)))
 # How much better a pattern of absent sides must explain them than all sides being there.
 DEPARTURE_NATS = 3.0
 
 
 @dataclass(frozen=True)
 class Presence:
-    """Support of each side: `p` its p-value among all controls, `size_px` its length in the picture.
+    """Support of each side: `p` its p-value among all controls, `size_px` its length, `at_px` its place.
 
     `beaten` is the share of its own controls that have as much support. In clutter beside smooth slabs any
     place has more than most controls, but no more than its own.
@@ -64,6 +67,7 @@ class Presence:
     p: Float[np.ndarray, " n"]
     size_px: Float[np.ndarray, " n"]
     beaten: Float[np.ndarray, " n"]
+    at_px: Float[np.ndarray, "n 2"]
 
     @property
     def there(self) -> Bool[np.ndarray, " n"]:
@@ -80,12 +84,18 @@ class Presence:
         count = max(1, round(share * len(self.p)))
         return self._take(np.sort(np.argsort(-self.size_px, kind="stable")[:count]))
 
+    def box(self, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> Presence:
+        """The sides whose middle lies in a box of the picture."""
+        return self._take(np.flatnonzero(((self.at_px >= low) & (self.at_px <= high)).all(1)))
+
     def inside(self, field: Float[np.ndarray, "k 2"]) -> Presence:
         """The sides whose middle lies in a convex counter-clockwise polygon."""
         return self._take(np.flatnonzero(inside_convex(self.sides.ends.mean(1), field, 0.0)))
 
     def _take(self, rows: np.ndarray) -> Presence:
-        return Presence(self.sides.take(rows), self.p[rows], self.size_px[rows], self.beaten[rows])
+        return Presence(
+            self.sides.take(rows), self.p[rows], self.size_px[rows], self.beaten[rows], self.at_px[rows]
+        )
 
 
 def side_presence(
@@ -103,7 +113,7 @@ def side_presence(
     sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit)
     n = len(sides)
     if n == 0:
-        return Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0))
+        return Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
     across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
     middle, half = sides.ends.mean(1), 0.4 * np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1)
@@ -141,7 +151,7 @@ def side_presence(
             above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
             p[rows] = (1 + above) / (1 + len(beside))
     beaten = (support[1:] >= support[0]).mean(0)
-    return Presence(sides, p, 2.0 * size, beaten)
+    return Presence(sides, p, 2.0 * size, beaten, profiles.centre_px[:n])
 
 
 def presence_of(picture: Float[np.ndarray, "h w"], fit: Fit, *, limit: int = 1200) -> Presence:
@@ -155,6 +165,26 @@ def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
     Its exponential has expectation one under the null, which makes the product over sides an e-value.
     """
     return np.log((1 - missed) * SHARPNESS * p ** (SHARPNESS - 1) + missed)
+
+
+def possible_fields(presence: Presence) -> list[tuple[Presence, float]]:
+    """Parts of the sides that may be all there is of the paving, each with its choice's price in nats."""
+    fields = [(presence.nearest(share), SHARE_COST) for share in FIELD_SHARES]
+    if len(presence.p) == 0:
+        return fields
+    low, size = presence.at_px.min(0), np.ptp(presence.at_px, axis=0)
+    llr = np.array([p_llr(presence.p, missed) for missed in MISSED])
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+    for share, count in BOXES:
+        places = np.linspace(0.0, 1.0 - share, count)
+        for corner in np.stack(np.meshgrid(places, places), -1).reshape(-1, 2):
+            start, end = low + corner * size, low + (corner + share) * size
+            held = ((presence.at_px >= start) & (presence.at_px <= end)).all(1)
+            value = float((llr @ held).max())
+            if best is None or value > best[0]:
+                best = value, start, end
+    assert best is not None
+    return [*fields, (presence.box(*best[1:]), BOX_COST)]
 
 
 @dataclass(frozen=True)
@@ -180,8 +210,7 @@ def best_pattern(
     nor twice the spacing can win.
     """
     best: dict[tuple[int, int, int], float] = {}
-    for share in FIELD_SHARES:
-        near = presence.nearest(share)
+    for near, choice in possible_fields(presence):
         rows = np.flatnonzero(near.sides.family == family)
         line, cell = near.sides.line[rows], near.sides.cell[rows]
         by_missed = [p_llr(near.p[rows], missed) for missed in MISSED]
@@ -192,8 +221,8 @@ def best_pattern(
                 residue = (line - cell * q) % m
                 sums = np.max([np.bincount(residue, weights=llr, minlength=m) for llr in by_missed], axis=0)
                 for r in range(m):
-                    best[m, q, r] = max(best.get((m, q, r), -np.inf), float(sums[r] - cost))
-    found = [Pattern(*key, score - FIELD_COST) for key, score in best.items()]
+                    best[m, q, r] = max(best.get((m, q, r), -np.inf), float(sums[r] - cost - choice))
+    found = [Pattern(*key, score) for key, score in best.items()]
     return sorted(found, key=lambda f: -f.score)
 
 

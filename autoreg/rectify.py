@@ -68,8 +68,29 @@ def picture_gradient(gray: np.ndarray) -> Gradient:
     )
 
 
+@dataclass(frozen=True)
+class Window:
+    """A box of the ground, from `low` to `high`."""
+
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+    def holds(self, x: Float[np.ndarray, "#m #n"], y: Float[np.ndarray, "#m #n"]) -> Bool[np.ndarray, "m n"]:
+        """Which points lie in it; rows of x and columns of y are broadcast."""
+        return (x >= self.low[0]) & (x <= self.high[0]) & (y >= self.low[1]) & (y <= self.high[1])
+
+
+EVERYWHERE = Window((-np.inf, -np.inf), (np.inf, np.inf))
+
+
 def rectify(
-    gradient: Gradient, camera: Camera, R: Float[np.ndarray, "3 3"], *, reach: float = 12.0, size: int = 800
+    gradient: Gradient,
+    camera: Camera,
+    R: Float[np.ndarray, "3 3"],
+    *,
+    reach: float = 12.0,
+    size: int = 800,
+    window: Window = EVERYWHERE,
 ) -> Rectified | None:
     """Evidence for joints along X and along Y on the ground plane of a rotation, or None if none is seen.
 
@@ -79,8 +100,9 @@ def rectify(
         R: cam_from_ground rotation; its third column is the ground's upward normal in camera axes.
         reach: how far from the point below the camera to look, in camera heights.
         size: limit to the number of rows and of columns.
+        window: the part of the ground to look at.
     """
-    axes = grid_axes(camera, R, reach, size)
+    axes = grid_axes(camera, R, reach, size, window)
     if axes is None:
         return None
     xs, ys = axes
@@ -98,7 +120,7 @@ def rectify(
         u, v = xn * fx + np.float32(camera.cx), yn * fy + np.float32(camera.cy)
     visible = (
         ahead & (u > 1) & (u < camera.width - 2) & (v > 1) & (v < camera.height - 2)
-        & (xf * xf + yf * yf < reach * reach)
+        & (xf * xf + yf * yf < reach * reach) & window.holds(xf, yf)
     )  # fmt: skip
     gu = cv2.remap(gradient.x, u, v, cv2.INTER_LINEAR)
     gv = cv2.remap(gradient.y, u, v, cv2.INTER_LINEAR)
@@ -123,7 +145,9 @@ def _contrast(gradient: np.ndarray, visible: np.ndarray) -> np.ndarray:
     return np.where(visible, gradient / (strength + mean), 0.0).astype(np.float32)
 
 
-def grid_axes(camera: Camera, R: np.ndarray, reach: float, size: int) -> tuple[np.ndarray, np.ndarray] | None:
+def grid_axes(
+    camera: Camera, R: np.ndarray, reach: float, size: int, window: Window = EVERYWHERE
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Ground coordinates of the grid's columns and rows, one pixel apart where the picture is densest."""
     u, v = np.linspace(0, camera.width - 1, 61), np.linspace(0, camera.height - 1, 61)
     px = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
@@ -131,7 +155,7 @@ def grid_axes(camera: Camera, R: np.ndarray, reach: float, size: int) -> tuple[n
     rays = np.c_[xy, np.ones(len(xy))] @ R
     down = np.isfinite(rays).all(1) & (rays[:, 2] < -1e-3)
     ground = rays[down, :2] / -rays[down, 2:]
-    near = np.linalg.norm(ground, axis=1) < reach
+    near = (np.linalg.norm(ground, axis=1) < reach) & window.holds(*ground.T[:, None])[0]
     if near.sum() < 50:
         return None
     ground = ground[near]

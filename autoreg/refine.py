@@ -17,6 +17,7 @@ from autoreg.residuals import PARAMETERS, JointData
 from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Prior, Solution, solve_joints
 from autoreg.stations import (
     ALONG_X,
+    ALONG_Y,
     Grid,
     Stations,
     place_stations,
@@ -28,6 +29,14 @@ from autoreg.stations import (
 SOLVES = 2
 # A slab's side is at least this part of the camera's height, and at most as many times it.
 MOST_SIDES = 200.0
+# Joints whose contrast, against the light around them, is below this part of what is usual are none.
+FAINT = 0.1
+# Grey levels that even the deepest shadow has.
+DARK = 8.0
+# An outermost line that lies off by so many times what the inner ones do is the rim of something else, if
+# there are at least so many lines and it is off by more than this share of a side; they are looked for among
+# this part of the lines at either end.
+RIM_SIGMAS, RIM_LINES, RIM_SHARE, RIM_PART = 6.0, 5, 0.006, 4
 # Joints that tell the scatter.
 SCATTER_SAMPLE = 500
 
@@ -225,6 +234,8 @@ def _round(
         if solution.outcome == "diverged" or not _plausible(moved, new_grid):
             return fit
         distances = solution.distances_px
+        if not search:
+            usable = usable & ~beside_rim(distances / (profiles.px_per_unit * across), stations, usable)
         sigma = scatter_model(distances, offsets.sigma_px, profiles.px_per_unit, stations.side, usable)
         fit = Fit(
             camera=moved_camera(camera, solution),
@@ -241,6 +252,36 @@ def _round(
             free=free,
         )
     return fit
+
+
+def beside_rim(
+    off: Float[np.ndarray, " n"], stations: Stations, usable: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Stations of outermost lines that lie off as none of the others: a kerb, or the rim of a board.
+
+    Args:
+        off: distances from the projected joints, in slab sides.
+        stations: where they were measured.
+        usable: those that count.
+    """
+    beside = np.zeros(len(off), dtype=bool)
+    for family in (ALONG_X, ALONG_Y):
+        members = usable & (stations.family == family)
+        lines = np.unique(stations.line[members])
+        if len(lines) < RIM_LINES:
+            continue
+        place = np.array([np.median(off[members & (stations.line == line)]) for line in lines])
+        most = len(lines) // RIM_PART
+        inner = place[most : len(lines) - most]
+        away = np.abs(place - np.median(inner))
+        limit = RIM_SIGMAS * 1.48 * float(np.median(np.abs(inner - np.median(inner))))
+        gross = np.flatnonzero(away > max(limit, RIM_SHARE))
+        # What lies beyond such a line is no paving of this lattice either.
+        first, last = gross[gross < most], gross[gross >= len(lines) - most]
+        low = first.max() + 1 if len(first) else 0
+        high = last.min() if len(last) else len(lines)
+        beside |= members & ~np.isin(stations.line, lines[low:high])
+    return beside
 
 
 def _plausible(pose: Rigid, grid: Grid) -> bool:
@@ -271,6 +312,9 @@ def _measured(
         polarity = joint_polarity(profiles, stations, offsets.offset_px, strip, side)
     sign = np.array(polarity)[stations.family]
     usable &= (sign == 0) | (offsets.depth * sign > 0)
+    contrast = (np.abs(offsets.depth) + 0.5 * np.abs(offsets.step)) / (profiles.values.mean(1) + DARK)
+    if usable.any():
+        usable &= contrast > FAINT * np.median(contrast[usable])
     if usable.sum() < 12:
         return None
     strip = estimate_strip(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from autoreg.camera import Camera
@@ -106,3 +107,25 @@ def misses(found: Rigid, spacing: tuple[float, float], photo: SyntheticPhoto) ->
     crossings = np.column_stack([column * a, row * b, np.zeros(len(row))])
     off = photo.camera.project(found.apply(crossings)) - pixels
     return angle, float(np.sqrt(np.mean((off**2).sum(1))))
+
+
+def board_in_a_room(
+    photo: SyntheticPhoto, low_m: np.ndarray, high_m: np.ndarray, seed: int = 5
+) -> np.ndarray:
+    """Grey photo of which only a box of the ground is left; the rest is covered by boxes of all tones."""
+    rng = np.random.default_rng(seed)
+    height, width = photo.pixels.shape[:2]
+    corners = np.array([low_m, [high_m[0], low_m[1]], high_m, [low_m[0], high_m[1]]])
+    shown = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(shown, [np.int32(np.round(16 * photo.project(corners)))], 255, cv2.LINE_AA, 4)
+    room = np.full((height, width), 110.0)
+    for _ in range(60):
+        box = (
+            rng.uniform((0, 0), (width, height)).tolist(),
+            rng.uniform(15, 120, 2).tolist(),
+            rng.uniform(0, 180),
+        )
+        cv2.fillPoly(room, [np.int32(cv2.boxPoints(box))], rng.uniform(30, 220), cv2.LINE_AA)
+    room = cv2.GaussianBlur(room, (0, 0), 1.0) + rng.normal(0, 2, (height, width))
+    share = cv2.GaussianBlur(shown, (0, 0), 0.6) / 255.0
+    return np.clip(np.rint(gray_of(photo) * share + room * (1 - share)), 0, 255).astype(np.uint8)

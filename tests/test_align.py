@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from paved import CHECKER, HALF_BOND, STACK, THIRD_BOND, misses
+from paved import CHECKER, HALF_BOND, STACK, THIRD_BOND, board_in_a_room, misses
 
 import autoreg
 from autoreg.alignment import Alignment
@@ -17,7 +17,7 @@ from autoreg.camera_files import read_camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
-from autoreg.synthetic import SyntheticPhoto, render_paving
+from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
 
 ROOT = Path(__file__).resolve().parents[1]
 FIXTURES = ROOT / "fixtures"
@@ -108,6 +108,21 @@ def test_the_same_photo_gives_the_same_answer_twice():
     assert (once.pose.cam_from_ground.t == again.pose.cam_from_ground.t).all()
     assert once.residual == again.residual
     assert len(once.joints) == len(again.joints)
+
+
+def test_a_board_in_a_room_is_found_and_its_rim_is_no_joint():
+    pose = look_at_ground(pitch_deg=50.0, height_m=4.5, heading_deg=20.0, foot_m=(0.13, 0.21))
+    photo = render_paving(replace(CHECKER, cam_from_ground=pose))
+    side = np.array(CHECKER.spacing_m)
+    ray = photo.cam_from_ground.R[2]
+    eye = photo.cam_from_ground.origin_in_a
+    middle = np.round((eye[:2] - ray[:2] * eye[2] / ray[2]) / side) * side
+    # A seventh of the picture; the rim lies a little beyond where the next joint would be.
+    board = board_in_a_room(photo, middle - side * [3.55, 2.55], middle + side * [3.55, 2.55])
+    found = autoreg.align(board, photo.camera, slab=CHECKER.spacing_m)
+    angle_deg, _ = miss_of(found, photo)
+    assert angle_deg < 0.03
+    assert found.camera.consistent
 
 
 def test_without_a_camera_the_photos_own_joints_tell_its_focal_length():

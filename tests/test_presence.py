@@ -15,13 +15,20 @@ from autoreg.presence import (
     best_pattern,
     field_polygon,
     p_llr,
+    possible_fields,
     side_presence,
 )
 from autoreg.refine import Fit
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, inside_convex, slab_sides
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, inside_convex, slab_sides
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 DARK = Strip((0.01, 0.01), 0.8, (-1, -1))
+
+
+def _presence(sides: Sides, p: np.ndarray, beaten: np.ndarray | None = None) -> Presence:
+    n = len(sides)
+    none = np.zeros(n) if beaten is None else beaten
+    return Presence(sides, p, np.full(n, 20.0), none, 20.0 * sides.ends.mean(1))
 
 
 def made_presence(there: np.ndarray) -> Presence:
@@ -29,7 +36,7 @@ def made_presence(there: np.ndarray) -> Presence:
     rng = np.random.default_rng(0)
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
     p = np.where(there, rng.beta(0.2, 2.0, len(sides)), rng.uniform(size=len(sides)))
-    return Presence(sides, np.maximum(p, 1e-3), np.full(len(sides), 20.0), np.zeros(len(sides)))
+    return _presence(sides, np.maximum(p, 1e-3))
 
 
 def presence_of(photo: SyntheticPhoto, grid: Grid, strip: Strip = DARK) -> Presence:
@@ -134,7 +141,7 @@ def test_a_lone_side_far_off_does_not_stretch_the_field():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
     middle = sides.ends.mean(1)
     paved = (middle < 4.01).all(1)
-    presence = Presence(sides, np.where(paved, 0.01, 0.9), np.full(len(sides), 20.0), np.zeros(len(sides)))
+    presence = _presence(sides, np.where(paved, 0.01, 0.9))
     p = presence.p.copy()
     p[np.linalg.norm(middle, axis=1).argmax()] = 0.01
     assert field_polygon(replace(presence, p=p)) == pytest.approx(field_polygon(presence))
@@ -147,16 +154,29 @@ def test_sides_with_no_more_support_than_what_lies_beside_them_are_clutter():
     # Beside smooth slabs everything in clutter has more support than most controls of the photo.
     p = np.where(paved, 0.01, rng.uniform(0.0, 0.15, len(sides)))
     beaten = np.where(paved, 0.0, rng.uniform(0.0, 1.0, len(sides)))
-    presence = Presence(sides, p, np.full(len(sides), 20.0), beaten)
+    presence = _presence(sides, p, beaten)
     field = field_polygon(presence)
     assert inside_convex(middle[(middle < 5.6).all(1) & (middle > 0.4).all(1)], field, 0.0).all()
     assert field.max() < 7.2
 
 
+def test_a_field_in_a_corner_of_the_picture_is_among_the_possible_ones():
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 20.0))
+    middle = sides.ends.mean(1)
+    paved = (middle > 13.0).all(1)
+    p = np.where(paved, 0.005, np.random.default_rng(0).uniform(size=len(sides)))
+    *_, (box, price) = possible_fields(_presence(sides, p))
+    assert (box.p == 0.005).mean() > 0.95
+    assert len(box.p) > 0.8 * paved.sum()
+    # All choices together must not be likelier than one.
+    prices = [cost for _, cost in possible_fields(_presence(sides, p))[:-1]]
+    assert np.exp(-np.array(prices)).sum() + 38 * np.exp(-price) <= 1.0 + 1e-9
+
+
 def test_no_sides_span_no_field():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 3.0)).take(np.zeros(0, int))
     with pytest.raises(ValueError, match="no sides"):
-        field_polygon(Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0)))
+        field_polygon(_presence(sides, np.zeros(0)))
 
 
 def test_the_origin_moves_on_the_ground_and_the_camera_stays(stack_fit: Fit):

@@ -11,6 +11,7 @@ from autoreg.geometry import angle_between_rotations
 from autoreg.refine import (
     Fit,
     Free,
+    beside_rim,
     moved_camera,
     moved_pose,
     refine,
@@ -149,6 +150,25 @@ def test_a_fit_that_is_still_does_not_move_when_repeated(stack_photo: SyntheticP
     ground = np.column_stack([ground, np.zeros(len(ground))])
     a, b = (CAMERA.project(fit.cam_from_ground.apply(ground)) for fit in (first, again))
     assert np.abs(a - b).max() < 0.01
+
+
+@pytest.mark.parametrize("end", ["first", "last"])
+def test_an_outermost_line_that_lies_off_is_a_rim_and_an_inner_one_is_not(stack_fit: Fit, end: str):
+    stations, usable = stack_fit.stations, stack_fit.usable
+    off = np.random.default_rng(0).normal(0.0, 0.002, len(stations))
+    lines = np.unique(stations.line[usable & (stations.family == ALONG_X)])
+    rim = lines[0] if end == "first" else lines[-1]
+    for line, taken in ((rim, True), (lines[len(lines) // 2], False)):
+        moved = usable & (stations.family == ALONG_X) & (stations.line == line)
+        beside = beside_rim(np.where(moved, off + 0.04, off), stations, usable)
+        assert (beside == (moved & taken)).all()
+
+
+def test_uneven_lines_have_no_rim(stack_fit: Fit):
+    stations, usable = stack_fit.stations, stack_fit.usable
+    of_line = np.random.default_rng(1).normal(0.0, 0.01, 1000)
+    off = of_line[stations.line + 500 * stations.family]
+    assert beside_rim(off, stations, usable).mean() < 0.1
 
 
 def test_unusable_joints_weigh_nothing_and_others_at_most_one(stack_fit: Fit):
