@@ -29,14 +29,15 @@ from autoreg.stations import (
 SOLVES = 2
 # A slab's side is at least this part of the camera's height, and at most as many times it.
 MOST_SIDES = 200.0
-# Joints whose contrast, against the light around them, is below this part of what is usual are none.
+# Where joints are neither dark nor light, those whose contrast, against the light around them, is below this
+# part of what is usual are none.
 FAINT = 0.1
 # Grey levels that even the deepest shadow has.
 DARK = 8.0
 # An outermost line that lies off by so many times what the inner ones do is the rim of something else, if
-# there are at least so many lines and it is off by more than this share of a side; they are looked for among
-# this part of the lines at either end.
-RIM_SIGMAS, RIM_LINES, RIM_SHARE, RIM_PART = 6.0, 5, 0.006, 4
+# there are at least so many lines and it is off by more than this share of a side and so many pixels; they
+# are looked for among this part of the lines at either end.
+RIM_SIGMAS, RIM_LINES, RIM_SHARE, RIM_PX, RIM_PART = 6.0, 5, 0.015, 0.5, 4
 # Joints that tell the scatter.
 SCATTER_SAMPLE = 500
 
@@ -235,7 +236,7 @@ def _round(
             return fit
         distances = solution.distances_px
         if not search:
-            usable = usable & ~beside_rim(distances / (profiles.px_per_unit * across), stations, usable)
+            usable = usable & ~beside_rim(distances, profiles.px_per_unit * across, stations, usable)
         sigma = scatter_model(distances, offsets.sigma_px, profiles.px_per_unit, stations.side, usable)
         fit = Fit(
             camera=moved_camera(camera, solution),
@@ -255,27 +256,34 @@ def _round(
 
 
 def beside_rim(
-    off: Float[np.ndarray, " n"], stations: Stations, usable: Bool[np.ndarray, " n"]
+    off_px: Float[np.ndarray, " n"],
+    side_px: Float[np.ndarray, " n"],
+    stations: Stations,
+    usable: Bool[np.ndarray, " n"],
 ) -> Bool[np.ndarray, " n"]:
     """Stations of outermost lines that lie off as none of the others: a kerb, or the rim of a board.
 
     Args:
-        off: distances from the projected joints, in slab sides.
+        off_px: distances from the projected joints.
+        side_px: length of a slab side across the joint, as seen there.
         stations: where they were measured.
         usable: those that count.
     """
-    beside = np.zeros(len(off), dtype=bool)
+    off, beside = off_px / side_px, np.zeros(len(off_px), dtype=bool)
     for family in (ALONG_X, ALONG_Y):
         members = usable & (stations.family == family)
         lines = np.unique(stations.line[members])
         if len(lines) < RIM_LINES:
             continue
-        place = np.array([np.median(off[members & (stations.line == line)]) for line in lines])
+        place, px = (
+            np.array([np.median(v[members & (stations.line == line)]) for line in lines])
+            for v in (off, np.abs(off_px))
+        )
         most = len(lines) // RIM_PART
         inner = place[most : len(lines) - most]
         away = np.abs(place - np.median(inner))
         limit = RIM_SIGMAS * 1.48 * float(np.median(np.abs(inner - np.median(inner))))
-        gross = np.flatnonzero(away > max(limit, RIM_SHARE))
+        gross = np.flatnonzero((away > max(limit, RIM_SHARE)) & (px > RIM_PX))
         # What lies beyond such a line is no paving of this lattice either.
         first, last = gross[gross < most], gross[gross >= len(lines) - most]
         low = first.max() + 1 if len(first) else 0
@@ -314,7 +322,7 @@ def _measured(
     usable &= (sign == 0) | (offsets.depth * sign > 0)
     contrast = (np.abs(offsets.depth) + 0.5 * np.abs(offsets.step)) / (profiles.values.mean(1) + DARK)
     if usable.any():
-        usable &= contrast > FAINT * np.median(contrast[usable])
+        usable &= (sign != 0) | (contrast > FAINT * np.median(contrast[usable]))
     if usable.sum() < 12:
         return None
     strip = estimate_strip(

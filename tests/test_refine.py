@@ -160,7 +160,8 @@ def test_an_outermost_line_that_lies_off_is_a_rim_and_an_inner_one_is_not(stack_
     rim = lines[0] if end == "first" else lines[-1]
     for line, taken in ((rim, True), (lines[len(lines) // 2], False)):
         moved = usable & (stations.family == ALONG_X) & (stations.line == line)
-        beside = beside_rim(np.where(moved, off + 0.04, off), stations, usable)
+        off_px = 30.0 * np.where(moved, off + 0.04, off)
+        beside = beside_rim(off_px, np.full(len(off), 30.0), stations, usable)
         assert (beside == (moved & taken)).all()
 
 
@@ -168,7 +169,7 @@ def test_uneven_lines_have_no_rim(stack_fit: Fit):
     stations, usable = stack_fit.stations, stack_fit.usable
     of_line = np.random.default_rng(1).normal(0.0, 0.01, 1000)
     off = of_line[stations.line + 500 * stations.family]
-    assert beside_rim(off, stations, usable).mean() < 0.1
+    assert beside_rim(30.0 * off, np.full(len(off), 30.0), stations, usable).mean() < 0.1
 
 
 def test_unusable_joints_weigh_nothing_and_others_at_most_one(stack_fit: Fit):
