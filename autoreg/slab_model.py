@@ -43,6 +43,8 @@ SIDE_FLOOR_PX = 0.03
 MISFIT = 2.0
 # A station farther off than this many standard deviations is none of a slab's: it is left out.
 GROSS_SIGMAS = 4.0
+# Height of the bow that even ground may have, as a share of its extent: 3 mm under a straightedge of 2 m.
+BOW = 0.0015
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,12 @@ class Estimate:
 
 
 def estimate_motion(
-    fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior, near: Scatter | None = None
+    fit: Fit,
+    mask: Float[np.ndarray, " p"],
+    prior: Prior,
+    near: Scatter | None = None,
+    *,
+    bow: float = 0.0,
 ) -> Estimate:
     """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
 
@@ -77,8 +84,9 @@ def estimate_motion(
         mask: ones for the free parameters.
         prior: what is known of them, counted from the fit.
         near: the scatter of an earlier estimate of this photo, near which to search instead of everywhere.
+        bow: how far from a plane the ground may be bent, as a share of its extent (standard deviation).
     """
-    model = _Model(fit, mask, prior)
+    model = _Model(fit, mask, prior, bow)
     sizes, relief = _likeliest_sizes(model, near)
     for _ in range(2):
         model.reweigh(sizes, relief)
@@ -145,7 +153,7 @@ class _Normal(NamedTuple):
 class _Model:
     """The linear mixed model of one fit's residuals; sizes are (place, lift / place, turn / place)."""
 
-    def __init__(self, fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior) -> None:
+    def __init__(self, fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior, bow: float) -> None:
         self.free, self.rows = np.flatnonzero(mask), np.flatnonzero(fit.usable)
         J = fit.solution.jacobian[np.ix_(self.rows, self.free)]
         # Columns of unit length keep the normal equations well scaled.
@@ -162,8 +170,10 @@ class _Model:
         # Which of the three sizes each column of Z is scaled by.
         self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
-        self.relief = _relief_effects(fit, self.rows)
-        self.columns = np.c_[J * self.unit, self.relief, self.off]
+        relief, bent = _relief_effects(fit, self.rows), bow * _bow_effects(fit, self.rows)
+        # Which of these columns are scaled by the size of the relief.
+        self.relief = np.repeat([True, False], [relief.shape[1], bent.shape[1]])
+        self.columns = np.c_[J * self.unit, relief, bent, self.off]
         self.weight = 1.0 / (1.0 + (self.off / (CAUCHY_SIGMAS * fit.sigma_px[self.rows])) ** 2)
         self._weigh()
 
@@ -200,8 +210,9 @@ class _Model:
 
     def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
         """Normal equations of the motion and the relief's shifts, for each size of the relief."""
-        p, k = len(self.free), self.relief.shape[1]
-        scale = np.concatenate([np.ones((len(reliefs), p)), np.repeat(reliefs[:, None], k, 1)], 1)
+        p, k = len(self.free), len(self.relief)
+        scale = np.ones((len(reliefs), p + k))
+        scale[:, p:][:, self.relief] = reliefs[:, None]
         # A direction that nothing tells (along the joints of rows) stays where it is, and unknown.
         little = 1e-10 * np.diag(self.gram)[:p]
         known = np.r_[self.known + little, np.ones(k)]
@@ -309,3 +320,13 @@ def _relief_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n r"]:
     # The same covariance in fewer columns.
     U, size, _ = np.linalg.svd(np.stack(columns, 1), full_matrices=False)
     return (U * size)[:, size > 0.01 * size[0]]
+
+
+def _bow_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n 3"]:
+    """Pixels that each station moves where the ground is bent along X, along Y, or twisted, by its extent."""
+    ground = fit.stations.ground[rows]
+    low, high = ground.min(0), ground.max(0)
+    extent = float(np.max(high - low))
+    x, y = ((2 * ground - low - high) / extent).T
+    rise = extent * fit.profiles.px_per_unit[rows] * _slope(fit, rows)
+    return rise[:, None] * np.stack([x * x, y * y, x * y], 1)

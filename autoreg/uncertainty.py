@@ -11,7 +11,7 @@ from jaxtyping import Float
 from autoreg import residuals as terms
 from autoreg.geometry import Rigid
 from autoreg.refine import Fit, Free, moved_camera, moved_pose, refine, refine_until_still, stretched
-from autoreg.slab_model import Estimate, Scatter, estimate_motion
+from autoreg.slab_model import BOW, Estimate, Scatter, estimate_motion
 
 # What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of
 # the focal length, and of the picture's width for the principal point.
@@ -98,6 +98,8 @@ def check_camera(
     Their distance from the given camera is judged against that covariance plus what a good calibration may
     be off by: a direction that the joints do not tell has a wide covariance, and so no say.
 
+    Ground that is bent imitates another camera, and so the covariance allows for a bow.
+
     A wrong camera makes even slabs look irregular, and hides joints from the search. With the picture, a fit
     that gives cause for doubt is therefore repeated with a free camera first.
 
@@ -108,13 +110,13 @@ def check_camera(
         scatter: of the slabs, as the fit's pose alone has it.
     """
     free = _free_camera(fit)
-    both = estimate_motion(fit, free.mask, free.prior(fit.camera), scatter)
+    both = estimate_motion(fit, free.mask, free.prior(fit.camera), scatter, bow=BOW)
     chi_square, shift = _contradiction(fit, fit, both)
     uneven = both.scatter.place > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
     if picture is not None and (uneven or chi_square > DOUBT):
         given, before = fit, both.scatter.place
         for freed in _fits_with_free_camera(given, picture, field):
-            motion = estimate_motion(freed, free.mask, free.prior(freed.camera), both.scatter)
+            motion = estimate_motion(freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW)
             # A free camera that does not make the slabs evener has found nothing better.
             if motion.scatter.place < EVENER * both.scatter.place:
                 chi_square, shift = _contradiction(given, freed, motion)
