@@ -164,7 +164,7 @@ def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
             a = grid.spacing_x / (factor if family == ALONG_Y else 1)
             b = grid.spacing_y / (factor if family == ALONG_X else 1)
             fine = replace(fit, grid=Grid(a, b, (grid.shift * factor) % 1.0 if grid.shift else 0.0))
-            best = best_pattern(presence_of(picture, fine, limit=SUBDIVIDE_SIDES), family)
+            best = best_pattern(presence_of(picture, fine, limit=SUBDIVIDE_SIDES, only=family), family)
             same = (factor, _carry(grid, factor), 0)
             known = next(p for p in best if (p.period, p.advance, p.phase) == same)
             if best[0].score - known.score > SUBDIVIDE_NATS:
@@ -212,8 +212,8 @@ def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
 def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
     """Log likelihood ratio of the lattice, per family, over the part of the picture that suits best."""
     options = [
-        tuple(evidence - 0.5 * choice for evidence in _evidence_of(field, grid))
-        for field, choice in possible_fields(presence)
+        tuple(evidence - 0.5 * price for evidence in _evidence_of(presence.take(np.flatnonzero(field)), grid))
+        for field, price in possible_fields(presence)
     ]
     x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
     return x, y

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree
@@ -82,17 +82,14 @@ class Presence:
     def nearest(self, share: float) -> Presence:
         """The given share of the sides, the largest in the picture first."""
         count = max(1, round(share * len(self.p)))
-        return self._take(np.sort(np.argsort(-self.size_px, kind="stable")[:count]))
-
-    def box(self, low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"]) -> Presence:
-        """The sides whose middle lies in a box of the picture."""
-        return self._take(np.flatnonzero(((self.at_px >= low) & (self.at_px <= high)).all(1)))
+        return self.take(np.sort(np.argsort(-self.size_px, kind="stable")[:count]))
 
     def inside(self, field: Float[np.ndarray, "k 2"]) -> Presence:
         """The sides whose middle lies in a convex counter-clockwise polygon."""
-        return self._take(np.flatnonzero(inside_convex(self.sides.ends.mean(1), field, 0.0)))
+        return self.take(np.flatnonzero(inside_convex(self.sides.ends.mean(1), field, 0.0)))
 
-    def _take(self, rows: np.ndarray) -> Presence:
+    def take(self, rows: np.ndarray) -> Presence:
+        """The chosen sides."""
         return Presence(
             self.sides.take(rows), self.p[rows], self.size_px[rows], self.beaten[rows], self.at_px[rows]
         )
@@ -108,9 +105,11 @@ def side_presence(
     reach: float = 12.0,
     tolerance_px: float = 1.5,
     limit: int = 1200,
+    only: int | None = None,
 ) -> Presence:
-    """How well each visible side of a lattice is supported by the picture."""
+    """How well each visible side of a lattice, or of its one family `only`, is supported by the picture."""
     sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit)
+    sides = sides if only is None else sides.take(np.flatnonzero(sides.family == only))
     n = len(sides)
     if n == 0:
         return Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
@@ -154,9 +153,13 @@ def side_presence(
     return Presence(sides, p, 2.0 * size, beaten, profiles.centre_px[:n])
 
 
-def presence_of(picture: Float[np.ndarray, "h w"], fit: Fit, *, limit: int = 1200) -> Presence:
+def presence_of(
+    picture: Float[np.ndarray, "h w"], fit: Fit, *, limit: int = 1200, only: int | None = None
+) -> Presence:
     """How well each visible side of a fit's lattice is supported by the picture of its camera."""
-    return side_presence(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, limit=limit)
+    return side_presence(
+        picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, limit=limit, only=only
+    )
 
 
 def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
@@ -167,24 +170,24 @@ def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
     return np.log((1 - missed) * SHARPNESS * p ** (SHARPNESS - 1) + missed)
 
 
-def possible_fields(presence: Presence) -> list[tuple[Presence, float]]:
-    """Parts of the sides that may be all there is of the paving, each with its choice's price in nats."""
-    fields = [(presence.nearest(share), SHARE_COST) for share in FIELD_SHARES]
-    if len(presence.p) == 0:
-        return fields
+def possible_fields(presence: Presence) -> list[tuple[Bool[np.ndarray, " n"], float]]:
+    """Sides that may be all there is of the paving, each choice of them with its price in nats."""
+    n = len(presence.p)
+    if n == 0:
+        return [(np.zeros(0, dtype=bool), SHARE_COST)]
+    rank = np.empty(n, int)
+    rank[np.argsort(-presence.size_px, kind="stable")] = np.arange(n)
+    fields = [(rank < max(1, round(share * n)), SHARE_COST) for share in FIELD_SHARES]
     low, size = presence.at_px.min(0), np.ptp(presence.at_px, axis=0)
     llr = np.array([p_llr(presence.p, missed) for missed in MISSED])
-    best: tuple[float, np.ndarray, np.ndarray] | None = None
-    for share, count in BOXES:
-        places = np.linspace(0.0, 1.0 - share, count)
-        for corner in np.stack(np.meshgrid(places, places), -1).reshape(-1, 2):
-            start, end = low + corner * size, low + (corner + share) * size
-            held = ((presence.at_px >= start) & (presence.at_px <= end)).all(1)
-            value = float((llr @ held).max())
-            if best is None or value > best[0]:
-                best = value, start, end
-    assert best is not None
-    return [*fields, (presence.box(*best[1:]), BOX_COST)]
+    at = (presence.at_px - low) / np.maximum(size, 1e-9)
+    boxes = [
+        ((at >= corner) & (at <= corner + share)).all(1)
+        for share, count in BOXES
+        for corner in np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0 - share, count)]), -1).reshape(-1, 2)
+    ]
+    best = int((llr @ np.array(boxes, float).T).max(0).argmax())
+    return [*fields, (boxes[best], BOX_COST)]
 
 
 @dataclass(frozen=True)
@@ -209,21 +212,25 @@ def best_pattern(
     Absent sides are held against a pattern that predicts them and for one that does not, so neither half
     nor twice the spacing can win.
     """
-    best: dict[tuple[int, int, int], float] = {}
-    for near, choice in possible_fields(presence):
-        rows = np.flatnonzero(near.sides.family == family)
-        line, cell = near.sides.line[rows], near.sides.cell[rows]
-        by_missed = [p_llr(near.p[rows], missed) for missed in MISSED]
-        for m in periods:
-            for q in range(m):
-                # Twice the spacing is as good a lattice as any; the others must earn their freedom.
-                cost = np.log(m) if q == 0 and m <= 2 else 2 * np.log(m) + DEPARTURE_NATS
-                residue = (line - cell * q) % m
-                sums = np.max([np.bincount(residue, weights=llr, minlength=m) for llr in by_missed], axis=0)
-                for r in range(m):
-                    best[m, q, r] = max(best.get((m, q, r), -np.inf), float(sums[r] - cost - choice))
-    found = [Pattern(*key, score) for key, score in best.items()]
-    return sorted(found, key=lambda f: -f.score)
+    rows = np.flatnonzero(presence.sides.family == family)
+    line, cell = presence.sides.line[rows], presence.sides.cell[rows]
+    keys = [(m, q, r) for m in periods for q in range(m) for r in range(m)]
+    # Twice the spacing is as good a lattice as any; the others must earn their freedom.
+    cost = [np.log(m) if q == 0 and m <= 2 else 2 * np.log(m) + DEPARTURE_NATS for m, q, _ in keys]
+    ways = np.concatenate([_residues(line, cell, m, q) for m in periods for q in range(m)], 1)
+    by_missed = np.array([p_llr(presence.p[rows], missed) for missed in MISSED], np.float32)
+    fields, prices = zip(*possible_fields(presence), strict=True)
+    held = np.array(fields)[:, rows]
+    sums = (held[:, None] * by_missed).reshape(-1, len(rows)) @ ways
+    best = (sums.reshape(len(held), len(MISSED), -1).max(1) - np.array(prices)[:, None]).max(0) - cost
+    order = np.argsort(-best, kind="stable")
+    return [Pattern(*keys[k], float(best[k])) for k in order]
+
+
+def _residues(line: np.ndarray, cell: np.ndarray, period: int, advance: int) -> Float32[np.ndarray, "n m"]:
+    """Ones where a side is of a residue class of the lattice counted obliquely."""
+    residue = (line - cell * advance) % period
+    return (residue[:, None] == np.arange(period)).astype(np.float32)
 
 
 def broken(presence: Presence, family: int) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -218,8 +219,10 @@ def _round(
         start = np.zeros(len(stations))
     widest_px = 2 * half - 6
     measured: tuple[Offsets, np.ndarray, Strip] | None = None
-    for _ in range(2):
-        measured = _measured(profiles, stations, start, strip, widest_px, reach_px, side, thorough=not known)
+    for last in (False, True):
+        # Looks that are known change little: they are measured where the joints are found to be.
+        looks = "known" if known and not last else "near" if known else "unknown"
+        measured = _measured(profiles, stations, start, strip, widest_px, reach_px, side, looks)
         if measured is None:
             return None
         start, strip = measured[0].offset_px, measured[2]
@@ -271,24 +274,24 @@ def beside_rim(
     """
     off, beside = off_px / side_px, np.zeros(len(off_px), dtype=bool)
     for family in (ALONG_X, ALONG_Y):
-        members = usable & (stations.family == family)
-        lines = np.unique(stations.line[members])
+        members = np.flatnonzero(usable & (stations.family == family))
+        members = members[np.lexsort((off[members], stations.line[members]))]
+        lines, start, count = np.unique(stations.line[members], return_index=True, return_counts=True)
         if len(lines) < RIM_LINES:
             continue
-        place, px = (
-            np.array([np.median(v[members & (stations.line == line)]) for line in lines])
-            for v in (off, np.abs(off_px))
-        )
+        median = members[start + (count - 1) // 2]
+        place = off[median]
         most = len(lines) // RIM_PART
         inner = place[most : len(lines) - most]
         away = np.abs(place - np.median(inner))
         limit = RIM_SIGMAS * 1.48 * float(np.median(np.abs(inner - np.median(inner))))
-        gross = np.flatnonzero((away > max(limit, RIM_SHARE)) & (px > RIM_PX))
+        gross = np.flatnonzero((away > max(limit, RIM_SHARE)) & (np.abs(off_px[median]) > RIM_PX))
         # What lies beyond such a line is no paving of this lattice either.
         first, last = gross[gross < most], gross[gross >= len(lines) - most]
         low = first.max() + 1 if len(first) else 0
         high = last.min() if len(last) else len(lines)
-        beside |= members & ~np.isin(stations.line, lines[low:high])
+        line = stations.line[members]
+        beside[members] = (line < lines[low]) | (line > lines[high - 1])
     return beside
 
 
@@ -307,8 +310,7 @@ def _measured(
     widest_px: float,
     reach_px: np.ndarray,
     side: np.ndarray,
-    *,
-    thorough: bool,
+    looks: Literal["known", "near", "unknown"],
 ) -> tuple[Offsets, np.ndarray, Strip] | None:
     """Offsets from a start, which of them can be used, and the joints' looks by those; None if too few."""
     width_px = width_px_of(strip, stations, profiles)
@@ -325,9 +327,10 @@ def _measured(
         usable &= (sign != 0) | (contrast > FAINT * np.median(contrast[usable]))
     if usable.sum() < 12:
         return None
-    strip = estimate_strip(
-        profiles, offsets, stations, replace(strip, polarity=polarity), usable, side, thorough=thorough
-    )
+    strip = replace(strip, polarity=polarity)
+    if looks != "known":
+        thorough = looks == "unknown"
+        strip = estimate_strip(profiles, offsets, stations, strip, usable, side, thorough=thorough)
     return offsets, usable, strip
 
 

@@ -132,6 +132,7 @@ def visible_sides(
     if field is not None:
         near &= inside_convex(middle, field, 0.3 * grid.spacing_y)
     sides = sides.take(np.flatnonzero(near))
+    sides = sides.take(_about_the_picture(sides, camera, cam_from_ground))
     sides, px = _clipped(sides, camera, cam_from_ground, border_px)
     # The slab across the side, seen from the side's middle.
     across = np.where(sides.family[:, None] == ALONG_X, [[0.0, grid.spacing_y]], [[a, 0.0]])
@@ -145,6 +146,16 @@ def visible_sides(
     if len(good) > limit:
         good = np.sort(good[np.argsort(-np.minimum(length, width)[good], kind="stable")[:limit]])
     return sides.take(good)
+
+
+def _about_the_picture(sides: Sides, camera: Camera, cam_from_ground: Rigid) -> np.ndarray:
+    """Index of the sides that may be seen: all but those that clearly pass by the picture."""
+    px = project_ground(camera, cam_from_ground, sides.ends)
+    margin = 0.1 * max(camera.width, camera.height)
+    size = np.array([camera.width, camera.height])
+    with np.errstate(invalid="ignore"):
+        far = ((px.max(1) < -margin) | (px.min(1) > size + margin)).any(1)
+    return np.flatnonzero(~far)
 
 
 def inside_convex(
