@@ -223,8 +223,8 @@ def best_pattern(
     held = np.array(fields)[:, rows]
     sums = (held[:, None] * by_missed).reshape(-1, len(rows)) @ ways
     best = (sums.reshape(len(held), len(MISSED), -1).max(1) - np.array(prices)[:, None]).max(0) - cost
-    order = np.argsort(-best, kind="stable")
-    return [Pattern(*keys[k], float(best[k])) for k in order]
+    found = [Pattern(m, q, r, float(score)) for (m, q, r), score in zip(keys, best, strict=True)]
+    return sorted(found, key=lambda pattern: -pattern.score)
 
 
 def _residues(line: np.ndarray, cell: np.ndarray, period: int, advance: int) -> Float32[np.ndarray, "n m"]:

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import csc_matrix, csr_matrix, diags, hstack, identity
-from scipy.sparse.linalg import splu
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_matrix, diags, hstack, identity
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from autoreg.refine import Fit
 from autoreg.residuals import PARAMETERS
@@ -166,9 +167,12 @@ class _Model:
         a, b = fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y
         self.side = float(np.sqrt(a * b))
         effects = _slab_effects(fit, self.rows, a, b, self.side)
-        self.Z: Any = hstack(effects).tocsr()
+        Z: Any = hstack(effects).tocsc()
+        # Neighbouring slabs next to each other: only they share a joint, and so the products form a band.
+        order = reverse_cuthill_mckee((Z.T @ Z).tocsr(), symmetric_mode=True)
+        self.Z: Any = Z[:, order].tocsr()
         # Which of the three sizes each column of Z is scaled by.
-        self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])
+        self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
         relief, bent = _relief_effects(fit, self.rows), bow * _bow_effects(fit, self.rows)
         # Which of these columns are scaled by the size of the relief.
@@ -181,12 +185,11 @@ class _Model:
         """The products with the inverse of D that every size needs, for the weights as they are."""
         self.D = self.noise**2 / self.weight
         ZD = (self.Z.T @ diags(1.0 / self.D)).tocsr()
-        inner = (ZD @ self.Z + identity(ZD.shape[0])).tocsc()
-        inner.sort_indices()
-        self.indices, self.indptr = inner.indices, inner.indptr
-        self.column = np.repeat(np.arange(inner.shape[1]), np.diff(inner.indptr))
-        self.diagonal = self.indices == self.column
-        self.products = inner.data - self.diagonal
+        inner = (ZD @ self.Z + identity(ZD.shape[0])).tocoo()
+        below = inner.row >= inner.col
+        self.row, self.column = inner.row[below], inner.col[below]
+        self.diagonal = self.row == self.column
+        self.products = inner.data[below] - self.diagonal
         self.ZD, self.ZDC = ZD, ZD @ self.columns
         self.CDC = self.columns.T @ (self.columns / self.D[:, None])
 
@@ -194,19 +197,21 @@ class _Model:
         """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
         place, lift, turn = sizes
         self.scale = np.array([place, place * lift, place * turn])[self.kind]
-        data = self.products * self.scale[self.indices] * self.scale[self.column] + self.diagonal
-        size = len(self.scale)
-        inner = csc_matrix((data, self.indices, self.indptr), shape=(size, size))
-        self.lu: Any = splu(
-            inner, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-        self.logdet = float(np.log(self.D * self.weight).sum() + np.log(np.abs(self.lu.U.diagonal())).sum())
+        data = self.products * self.scale[self.row] * self.scale[self.column] + self.diagonal
+        width = int((self.row - self.column).max()) + 1
+        band = np.zeros((width, len(self.scale)))
+        band[self.row - self.column, self.column] = data
+        self.cholesky = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+        self.logdet = float(np.log(self.D * self.weight).sum() + 2.0 * np.log(self.cholesky[0]).sum())
         across = self.scale[:, None] * self.ZDC
-        self.gram = self.CDC - across.T @ self.lu.solve(across)
+        self.gram = self.CDC - across.T @ self._solved(across)
+
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        return cho_solve_banded((self.cholesky, True), right, check_finite=False)
 
     def _whitened(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """V^-1 x."""
-        return x / self.D - self.ZD.T @ (self.scale * self.lu.solve(self.scale * (self.ZD @ x)))
+        return x / self.D - self.ZD.T @ (self.scale * self._solved(self.scale * (self.ZD @ x)))
 
     def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
         """Normal equations of the motion and the relief's shifts, for each size of the relief."""

@@ -114,6 +114,7 @@ def visible_sides(
     With a `field`, a convex counter-clockwise polygon of the ground, only sides whose middle lies in it.
     """
     ground = visible_ground(camera, cam_from_ground, reach)
+    ground = ground[_slab_px(camera, cam_from_ground, grid, ground) > 0.5 * min_px]
     if len(ground) < 8:
         return slab_sides(grid, np.zeros(2), np.full(2, -1.0)).take(np.zeros(0, dtype=int))
     eye = cam_from_ground.origin_in_a
@@ -132,7 +133,10 @@ def visible_sides(
     if field is not None:
         near &= inside_convex(middle, field, 0.3 * grid.spacing_y)
     sides = sides.take(np.flatnonzero(near))
-    sides = sides.take(_about_the_picture(sides, camera, cam_from_ground))
+    sides = sides.take(_perhaps_seen(sides, camera, cam_from_ground, min_px))
+    if len(sides) > 3 * limit:
+        size_px = _slab_px(camera, cam_from_ground, grid, sides.ends.mean(1))
+        sides = sides.take(np.sort(np.argsort(-size_px, kind="stable")[: 3 * limit]))
     sides, px = _clipped(sides, camera, cam_from_ground, border_px)
     # The slab across the side, seen from the side's middle.
     across = np.where(sides.family[:, None] == ALONG_X, [[0.0, grid.spacing_y]], [[a, 0.0]])
@@ -148,14 +152,30 @@ def visible_sides(
     return sides.take(good)
 
 
-def _about_the_picture(sides: Sides, camera: Camera, cam_from_ground: Rigid) -> np.ndarray:
-    """Index of the sides that may be seen: all but those that clearly pass by the picture."""
+def _perhaps_seen(sides: Sides, camera: Camera, cam_from_ground: Rigid, min_px: float) -> np.ndarray:
+    """Index of the sides that may be seen: all but those too short, or clearly beside the picture."""
     px = project_ground(camera, cam_from_ground, sides.ends)
-    margin = 0.1 * max(camera.width, camera.height)
     size = np.array([camera.width, camera.height])
     with np.errstate(invalid="ignore"):
-        far = ((px.max(1) < -margin) | (px.min(1) > size + margin)).any(1)
-    return np.flatnonzero(~far)
+        length = np.linalg.norm(px[:, 1] - px[:, 0], axis=1)
+        # A lens bends a side by little of its length.
+        margin = 0.1 * length[:, None] + 1.0
+        away = ((px.max(1) < -margin) | (px.min(1) > size + margin)).any(1) | (length < min_px)
+    return np.flatnonzero(~away)
+
+
+def _slab_px(
+    camera: Camera, cam_from_ground: Rigid, grid: Grid, points: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, " n"]:
+    """The shorter side of a slab at each ground point, in pixels."""
+    here = project_ground(camera, cam_from_ground, points)
+    steps = np.diag([grid.spacing_x or grid.spacing_y, grid.spacing_y])
+    sides = [
+        np.linalg.norm(project_ground(camera, cam_from_ground, points + step) - here, axis=1)
+        for step in steps
+    ]
+    # Where a slab's end is behind the camera the slab is near, and so large.
+    return np.nan_to_num(np.minimum(*sides), nan=np.inf)
 
 
 def inside_convex(
@@ -177,21 +197,30 @@ def _clipped(
     least: float = 0.45,
 ) -> tuple[Sides, Float[np.ndarray, "n 2 2"]]:
     """The sides cut to the picture, and their ends there; sides seen for less than `least` are left out."""
+    far = np.array([camera.width, camera.height]) - 1 - border_px
+
+    def inside(px: np.ndarray) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            return np.all((px > border_px) & (px < far), axis=-1)
+
+    ends, px = sides.ends.copy(), project_ground(camera, cam_from_ground, sides.ends)
+    kept = np.asarray(inside(px).all(1))
+    # The others are followed piece by piece.
+    cut = np.flatnonzero(~kept)
     fraction = np.linspace(0.0, 1.0, pieces + 1)
-    start, along = sides.ends[:, :1], sides.ends[:, 1:] - sides.ends[:, :1]
-    px = project_ground(camera, cam_from_ground, start + fraction[:, None] * along)
-    with np.errstate(invalid="ignore"):
-        far = np.array([camera.width, camera.height]) - 1 - border_px
-        inside = np.all((px > border_px) & (px < far), axis=-1)
-    first, last = inside.argmax(1), pieces - inside[:, ::-1].argmax(1)
+    start, along = sides.ends[cut, :1], sides.ends[cut, 1:] - sides.ends[cut, :1]
+    points = start + fraction[:, None] * along
+    points_px = project_ground(camera, cam_from_ground, points)
+    seen = inside(points_px)
+    first, last = seen.argmax(1), pieces - seen[:, ::-1].argmax(1)
     # A side that leaves the picture and comes back is none of a pinhole's; a lens may do that at its rim.
-    whole = inside.sum(1) == last - first + 1
-    kept = np.flatnonzero(inside.any(1) & whole & (last - first >= least * pieces))
-    cut = np.stack([fraction[first[kept]], fraction[last[kept]]], 1)
-    ends = start[kept] + cut[:, :, None] * along[kept]
-    rows = np.arange(len(kept))
-    clipped = replace(sides.take(kept), ends=ends)
-    return clipped, np.stack([px[kept][rows, first[kept]], px[kept][rows, last[kept]]], 1)
+    whole = seen.sum(1) == last - first + 1
+    kept[cut] = seen.any(1) & whole & (last - first >= least * pieces)
+    rows = np.arange(len(cut))
+    for end, place in enumerate((first, last)):
+        ends[cut, end], px[cut, end] = points[rows, place], points_px[rows, place]
+    index = np.flatnonzero(kept)
+    return replace(sides.take(index), ends=ends[index]), px[index]
 
 
 @dataclass(frozen=True)
