@@ -37,7 +37,7 @@ from autoreg.paving import (
 )
 from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit, Free, refine_until_still
-from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
+from autoreg.refusals import ambiguous, camera_contradicted, maybe_wall, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows, lay_rows
 from autoreg.segments import Segments, detect_segments
 from autoreg.solver import warm_up
@@ -97,6 +97,9 @@ def align(
         found = find_paving(looks, segments, size, camera, slab)
     except Refusal as refusal:
         raise _explained(refusal, looks, segments, size, camera if source == "file" else None) from None
+    wall = maybe_wall((found.paving if isinstance(found, Rows) else found).fit)
+    if wall is not None:
+        raise wall
     picture, small = gray.astype(np.float32), looks.picture
     if isinstance(found, Rows):
         fit = measure(picture, found.paving, Free(step_sigma=STEP_SIGMA))

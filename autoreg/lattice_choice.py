@@ -39,6 +39,8 @@ HOPEFUL_NATS = 3.0
 RIVAL_NATS = 3.0
 # How much better a finer lattice must explain the sides between the joints.
 SUBDIVIDE_NATS = 6.0
+# How much better than a lattice a pattern of its absent sides must explain them to speak against it.
+DEPARTS_NATS = 10.0
 # Sides that tell it, the largest in the picture.
 SUBDIVIDE_SIDES = 500
 
@@ -136,7 +138,17 @@ def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
         if not coarser and sum(other.evidence_nats) < sum(best.evidence_nats) - 1.0:
             break
         best = other
-    return best
+    return None if best is None or departs(best.presence) else best
+
+
+def departs(presence: Presence) -> bool:
+    """Whether the sides that are absent follow a pattern that no lattice was found for: some other paving."""
+    for family in (ALONG_X, ALONG_Y):
+        patterns = best_pattern(presence, family)
+        whole = next(pattern for pattern in patterns if pattern.period == 1)
+        if patterns[0].score - whole.score > DEPARTS_NATS:
+            return True
+    return False
 
 
 def hopeful(presence: Presence) -> bool:

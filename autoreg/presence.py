@@ -221,7 +221,8 @@ def best_pattern(
     by_missed = np.array([p_llr(presence.p[rows], missed) for missed in MISSED], np.float32)
     fields, prices = zip(*possible_fields(presence), strict=True)
     held = np.array(fields)[:, rows]
-    sums = (held[:, None] * by_missed).reshape(-1, len(rows)) @ ways
+    weights = (held[:, None] * by_missed).reshape(len(held) * len(MISSED), len(rows))
+    sums = weights @ ways
     best = (sums.reshape(len(held), len(MISSED), -1).max(1) - np.array(prices)[:, None]).max(0) - cost
     found = [Pattern(m, q, r, float(score)) for (m, q, r), score in zip(keys, best, strict=True)]
     return sorted(found, key=lambda pattern: -pattern.score)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from autoreg.errors import Refusal
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
+from autoreg.refine import Fit
 from autoreg.rows import Rows
 
 # A camera's focal length must differ by this much before it is blamed for a refusal.
 FOCAL_BLAME = 0.05
 # Fewer sides than this are a few joints, however clear.
 FEW_SIDES = 16
+# Courses seen no more aslant than the first, and no farther from level than the second, may be a wall's.
+FRONTAL_DEG, LEVEL_DEG = 25.0, 2.5
 
 
 def no_lattice(best: Paving | None, rows: Rows | None) -> Refusal:
@@ -54,6 +59,24 @@ def ambiguous(best: Paving, other: Paving) -> Refusal:
         "take a photo that shows more slabs, or more sharply",
         measured=round(best.margin_nats - other.margin_nats, 2),
         limit=RIVAL_NATS,
+    )
+
+
+def maybe_wall(fit: Fit) -> Refusal | None:
+    """The refusal of courses seen from the front, level in the picture: a brick wall as likely as a floor."""
+    R = fit.cam_from_ground.R
+    tilt_deg = float(np.rad2deg(np.arccos(np.clip(-R[2, 2], -1.0, 1.0))))
+    skew_deg = float(np.rad2deg(np.arcsin(np.abs(R[0, :2]).min())))
+    stack = fit.grid.spacing_x is not None and fit.grid.shift == 0.0
+    if stack or tilt_deg > FRONTAL_DEG or skew_deg > LEVEL_DEG:
+        return None
+    return Refusal(
+        "not_ground",
+        f"these courses lie level in the picture and are seen from the front ({tilt_deg:.0f} degrees aslant) "
+        "as those of a wall are, and the photo does not tell whether it is one; photograph the ground more "
+        "from the side, or with the camera turned by some degrees",
+        measured=round(skew_deg, 2),
+        limit=LEVEL_DEG,
     )
 
 

@@ -10,6 +10,7 @@ from paved import CAMERA, STACK, gray_of
 
 from autoreg.ground_frame import with_origin
 from autoreg.joint_looks import Strip
+from autoreg.lattice_choice import departs
 from autoreg.presence import (
     Presence,
     best_pattern,
@@ -171,6 +172,14 @@ def test_a_field_in_a_corner_of_the_picture_is_among_the_possible_ones():
     # All choices together must not be likelier than one.
     prices = [cost for _, cost in possible_fields(_presence(sides, p))[:-1]]
     assert np.exp(-np.array(prices)).sum() + 38 * np.exp(-price) <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_regular_gaps_speak_against_a_lattice_and_random_ones_do_not(family: int):
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    regular = (sides.family != family) | (sides.line % 2 == 0)
+    assert departs(made_presence(regular))
+    assert not departs(made_presence(np.random.default_rng(3).uniform(size=len(sides)) > 0.3))
 
 
 def test_no_sides_span_no_field():

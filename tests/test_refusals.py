@@ -8,9 +8,9 @@ from paved import STACK, fit_of, gray_of
 
 from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving
 from autoreg.presence import presence_of
-from autoreg.refusals import FEW_SIDES, ambiguous, camera_contradicted, no_lattice
+from autoreg.refusals import FEW_SIDES, ambiguous, camera_contradicted, maybe_wall, no_lattice
 from autoreg.stations import Grid
-from autoreg.synthetic import SyntheticPhoto
+from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +54,18 @@ def test_a_camera_is_blamed_only_for_another_focal_length(given: float, seen: fl
     if refusal is not None:
         assert refusal.code == "camera_contradicted"
         assert np.isclose([refusal.measured or 0.0, refusal.limit or 0.0], [seen, given]).all()
+
+
+@pytest.mark.parametrize(
+    ("pitch", "heading", "shift", "refused"),
+    [(80.0, 1.0, 0.5, True), (80.0, 20.0, 0.5, False), (55.0, 1.0, 0.5, False), (80.0, 1.0, 0.0, False)],
+)
+def test_level_courses_seen_from_the_front_may_be_a_wall(
+    paving: Paving, pitch: float, heading: float, shift: float, refused: bool
+):
+    pose = look_at_ground(pitch_deg=pitch, height_m=1.6, heading_deg=heading)
+    refusal = maybe_wall(replace(paving.fit, cam_from_ground=pose, grid=Grid(0.2, 0.1, shift)))
+    assert (refusal is not None) == refused
+    if refusal is not None:
+        assert refusal.code == "not_ground"
+        assert "wall" in refusal.message
