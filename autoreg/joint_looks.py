@@ -127,6 +127,9 @@ def estimate_strip(
         if len(rows) < 6:
             continue
         across = side[1] if family == ALONG_X else side[0]
+        if not thorough and strip.polarity[family] == 0 and width[family] < 1.5 * NO_JOINT * across:
+            # Tiles that met without a joint still do.
+            continue
         known = not thorough and strip.polarity[family] != 0
         options = (
             across * np.clip(width[family] / across * NEARBY, *WIDTHS[[0, -1]]) if known else across * WIDTHS
