@@ -228,6 +228,9 @@ def _round(
         start, strip = measured[0].offset_px, measured[2]
     assert measured is not None
     offsets, usable, strip = measured
+    offsets = replace(
+        offsets, offset_px=offsets.offset_px - middle_px(camera, pose, stations, profiles.normal, strip)
+    )
     sigma = np.hypot(offsets.sigma_px, 0.3)
     fit: Fit | None = None
     # While joints are searched the next round solves again.
@@ -332,6 +335,20 @@ def _measured(
         thorough = looks == "unknown"
         strip = estimate_strip(profiles, offsets, stations, strip, usable, side, thorough=thorough)
     return offsets, usable, strip
+
+
+def middle_px(
+    camera: Camera, pose: Rigid, stations: Stations, normal: Float[np.ndarray, "n 2"], strip: Strip
+) -> Float[np.ndarray, " n"]:
+    """How far the middle of a joint's two edges lies off its centre line in the picture, along the normal.
+
+    The nearer half of a joint looks wider than the farther one.
+    """
+    half = 0.5 * np.where(stations.family == ALONG_X, strip.width[0], strip.width[1])
+    across = half[:, None] * stations.direction[:, ::-1]
+    places = stations.ground, stations.ground + across, stations.ground - across
+    centre, far, near = (project_ground(camera, pose, place) for place in places)
+    return ((0.5 * (far + near) - centre) * normal).sum(1)
 
 
 def joint_data(
