@@ -17,6 +17,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -108,7 +109,7 @@ def visible_lines(view: View, lattice: Lattice) -> list[np.ndarray]:
     joints = lay_joints(lattice)
     px, _ = view.polylines(np.concatenate([joints.along_x, joints.along_y]), 40)
     size = [view.camera.width, view.camera.height]
-    inside = ((px >= 0) & (px <= np.array(size) - 1)).all(-1)
+    inside = np.asarray(((px >= 0) & (px <= np.array(size) - 1)).all(-1))
     return [line[shown] for line, shown in zip(px, inside, strict=True) if shown.sum() > 4]
 
 
@@ -176,7 +177,7 @@ def by_hand_px(truth: View, lattice: Lattice) -> tuple[float, float]:
             return np.concatenate([best_shift(guess, line, turn)[1] for line in lines])
 
         middle = float(np.median(np.unwrap(2 * np.array(starts)) / 2))
-        found = minimize_scalar(
+        found: Any = minimize_scalar(
             lambda t: rms(all_with(t)), bounds=(middle - 0.3, middle + 0.3), method="bounded"
         )
         together.append(all_with(float(found.x)))
@@ -206,7 +207,7 @@ def best_shift(guess: View, line: np.ndarray, turn: float) -> tuple[float, np.nd
         return way[:, 0] * (line - a)[:, 1] - way[:, 1] * (line - a)[:, 0]
 
     spread = max(float(np.ptp(shifts)), 1e-6)
-    found = minimize_scalar(
+    found: Any = minimize_scalar(
         lambda s: float(np.sum(distances(s) ** 2)),
         bounds=(float(shifts.min()) - spread, float(shifts.max()) + spread),
         method="bounded",
