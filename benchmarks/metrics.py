@@ -175,7 +175,7 @@ METRICS: tuple[Metric, ...] = (
         relative=TIMES,
         gated="full",
     ),
-    Metric("speed.memory_2mp", "peak memory of the command, 2 MP", "GB", relative=0.2),
+    Metric("speed.memory_2mp", "peak memory of the command, 2 MP", "GB", relative=0.2, gated="full"),
     Metric("speed.memory_13mp", "... 13.5 MP", "GB", goal=1.2, gated="full"),
     Metric("speed.memory_50mp", "... 50 MP", "GB", goal=3.0, gated="full"),
     Metric(

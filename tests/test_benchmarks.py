@@ -6,12 +6,16 @@ from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
+from autoreg.alignment import Alignment, CameraReport, Pose, Residual
+from autoreg.geometry import Rigid
+from autoreg.lattice import Lattice
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground, render_paving
 from benchmarks import __main__ as command
 from benchmarks import metrics
@@ -22,11 +26,15 @@ from benchmarks.metrics import METRICS, Figure, Metric, metric
 from benchmarks.options import Options
 from benchmarks.peers import lsd_segments, match_edges, refine_with, solve_scipy
 from benchmarks.plots import draw_all
+from benchmarks.processes import run_timed
 from benchmarks.report import markdown, print_report
 from benchmarks.result import Plot, Result, Series, Table, read_results, to_json
-from benchmarks.suites import NAMES, NOT_QUICK, UnknownSuite, chosen
+from benchmarks.suites import NAMES, NOT_QUICK, UnknownSuite, chosen, real, robust, speed, vanishing
 from benchmarks.suites.limit import scene as limit_scene
+from benchmarks.suites.robust import within
+from benchmarks.suites.thesis import minutes_by_hand
 from benchmarks.suites.truth import covered
+from benchmarks.suites.vanishing import area_under_recall, matched_errors_deg
 
 LOWER = Metric("limit.ratio", "ratio", goal=1.3, relative=0.1)
 HIGHER = Metric("vanishing.auc3", "area", better="higher", goal=0.7, relative=0.0, absolute=0.02)
@@ -78,6 +86,7 @@ def test_a_metric_that_contradicts_itself_is_an_error(bad: dict[str, object], sa
         replace(LOWER, **bad)  # type: ignore[arg-type]
 
 
+@settings(deadline=None, derandomize=True)
 @given(st.floats(0.1, 10.0), st.floats(0.0, 0.5), st.floats(0.0, 0.5))
 def test_within_the_tolerance_nothing_is_worse(baseline: float, relative: float, absolute: float):
     m = Metric("limit.ratio", "x", relative=relative, absolute=absolute)
@@ -362,3 +371,91 @@ def test_poselib_agrees_with_scipy_on_the_same_segments():
     for found in both:
         assert found is not None
         assert crossings_error_px(found.cam_from_ground, scene, ground) < 0.05
+
+
+def test_the_area_under_the_recall_curve_is_that_of_its_steps():
+    assert area_under_recall(np.zeros(10), 5.0) == pytest.approx(1.0)
+    assert area_under_recall(np.full(10, 90.0), 5.0) < 0.01
+    even = np.linspace(0.0, 10.0, 2001)
+    assert area_under_recall(even, 10.0) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_directions_are_matched_whatever_their_order_and_signs():
+    turn = np.deg2rad(2.0)
+    true = np.eye(3)
+    off = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
+    errors, ordered = matched_errors_deg(off[:, [2, 0, 1]] * [-1.0, 1.0, -1.0], true)
+    assert errors == pytest.approx([2.0, 2.0, 0.0], abs=1e-9)
+    assert ordered == pytest.approx(off, abs=1e-12)
+
+
+def test_a_missing_database_is_skipped_with_a_word(tmp_path: Path):
+    options = Options(tmp_path, yorkurban=tmp_path / "none", photos=tmp_path / "none")
+    assert "--yorkurban" in (vanishing.run(options).skipped or "")
+    assert "--photos" in (real.run(options).skipped or "")
+
+
+def test_a_pose_is_right_up_to_quarter_turns_and_whole_slabs():
+    scene = SyntheticScene(spacing_m=(0.4, 0.4))
+    pose = scene.cam_from_ground
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    same = Rigid(pose.R @ turn, pose.t + pose.R @ [0.8, -0.4, 0.0])
+    assert within(alignment(same), scene)
+    assert not within(alignment(Rigid(same.R, same.t + same.R @ [0.1, 0.0, 0.0])), scene)
+    assert not within(alignment(moved(same, np.array([0.02, 0, 0, 0, 0, 0.0]))), scene)
+
+
+def alignment(pose: Rigid, spacing: tuple[float, float] = (0.4, 0.4)) -> Alignment:
+    camera = SyntheticScene().camera
+    return Alignment(
+        camera.width,
+        camera.height,
+        CameraReport(camera, "file", None, None, None),
+        Pose(pose, np.eye(6)),
+        "slab",
+        Lattice("stack", *spacing, 0.0, 0.01, np.zeros((4, 2))),
+        Residual(0.1, 0.1, 0.2, 10, 100, 1.0),
+        (),
+    )
+
+
+def test_a_photo_is_judged_by_what_is_known_of_it():
+    square = real.Expected(("stack",), 1.0)
+    pose = SyntheticScene().cam_from_ground
+    assert real.agrees(alignment(pose), square)
+    assert not real.agrees(alignment(pose, (0.6, 0.4)), square)
+    assert not real.agrees(alignment(pose), real.Expected(("running", "rows")))
+
+
+def test_spoilt_photos_are_spoilt_by_the_share_that_is_asked_for():
+    photo = robust.take(robust.Axis("occlusion", "", (0.4,)), 0.4, 1, (320, 240))
+    hidden = robust._covered(photo, 0.4, np.random.default_rng(1))
+    assert 0.35 < (hidden.gray != photo.gray).mean() < 0.6
+    wrong = robust._wrong_camera(photo, 10.0, np.random.default_rng(1))
+    assert abs(wrong.told.fx / photo.told.fx - 1) == pytest.approx(0.1)
+
+
+def test_minutes_by_hand_grow_with_the_lines():
+    assert minutes_by_hand(30, together=False) == 10 * minutes_by_hand(3, together=False)
+    assert minutes_by_hand(30, together=True) == minutes_by_hand(3, together=True)
+
+
+def test_a_timed_process_tells_time_memory_and_failure():
+    ran = run_timed(["-c", "print('{\"answer\": 42}')"])
+    assert ran.answer() == {"answer": 42}
+    assert 0 < ran.seconds < 60
+    assert 0.001 < ran.peak_gb < 1
+    with pytest.raises(RuntimeError, match="ended with 3"):
+        run_timed(["-c", "raise SystemExit(3)"]).answer()
+
+
+def test_a_photo_in_strips_is_the_photo_in_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    scene = replace(SMALL, blur_px=0.0, noise_grey=0.0)
+    monkeypatch.setattr(speed, "STRIP_ROWS", 40)
+    path = speed.write_photo(scene, tmp_path, "strips")
+    drawn = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    whole = np.clip(np.round(clean_grey(scene)), 0, 255).astype(np.uint8)
+    encoded = cv2.imencode(".jpg", whole, [cv2.IMWRITE_JPEG_QUALITY, 92])[1]
+    at_once = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE)
+    assert np.abs(drawn.astype(float) - at_once).mean() < 0.2
+    assert json.loads((tmp_path / "camera.json").read_text())["width"] == 200

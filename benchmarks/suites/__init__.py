@@ -11,7 +11,7 @@ from benchmarks.result import Result
 # In the order in which they run and are reported.
 NAMES = ("refine", "limit", "truth", "robust", "vanishing", "thesis", "speed", "real")
 # What the short run leaves out, because it needs what a checkout alone does not have, or minutes.
-NOT_QUICK = ("thesis", "real")
+NOT_QUICK = ("thesis", "speed", "real")
 
 
 class UnknownSuite(ValueError):
