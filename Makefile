@@ -1,9 +1,9 @@
 # The habits of this repository. `make check` is what .ci/run checks, in the present environment.
 PYTHON ?= python
 
-.PHONY: check lint types layers test images
+.PHONY: check lint types layers test bench images
 
-check: lint types layers test
+check: lint types layers test bench
 
 lint:
 	$(PYTHON) -m ruff check .
@@ -16,6 +16,9 @@ layers:
 
 test:
 	$(PYTHON) -m pytest
+
+bench:
+	$(PYTHON) -m benchmarks --quick --gate
 
 images:
 	$(PYTHON) docs/make_images.py

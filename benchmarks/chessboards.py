@@ -81,6 +81,7 @@ def detection(photos: int = 55) -> None:
 
 def _plain(file: Path) -> bool:
     gray = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    assert gray is not None
     found, corners = cv2.findChessboardCorners(gray, (BOARD.columns, BOARD.rows))
     if found:
         cv2.cornerSubPix(gray, corners, (11, 11), (-1, -1), (3, 30, 0.001))

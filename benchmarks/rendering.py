@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -49,9 +50,8 @@ def random_camera(rng: np.random.Generator) -> tuple[Camera, float]:
         r2 = float(corner @ corner)
         k1 = rng.uniform(-0.22, 0.18) / r2
         dist = (k1, rng.uniform(0.0, 0.05) / r2**2, *(rng.uniform(-2e-3, 2e-3, 2) / np.sqrt(r2)), 0.0)
-    camera = Camera(
-        width, height, fx, fx * rng.uniform(0.85, 1.18), *map(float, centre), tuple(map(float, dist))
-    )
+    fy, (cx, cy) = fx * rng.uniform(0.85, 1.18), centre
+    camera = Camera(width, height, fx, fy, float(cx), float(cy), tuple(map(float, dist)))
     return camera, float(rng.uniform(5.0, 89.0))
 
 
@@ -130,7 +130,7 @@ def cost() -> bool:
             inside, alone = 0.0, 0.0
             run = povray.run_povray
 
-            def timed(*args: object, run=run, **options: object) -> None:
+            def timed(*args: Any, run: Any = run, **options: Any) -> None:
                 nonlocal alone, inside
                 begun = time.monotonic()
                 run(*args, **options)

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 
 # The script runs from a checkout, whether or not autoreg is installed.
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
+sys.path[:0] = [str(Path(__file__).parents[1])]
 
-from raytrace.files import write  # noqa: E402
-from raytrace.kinds import KINDS, draw  # noqa: E402
-from raytrace.scene import Scene  # noqa: E402
+from benchmarks.raytrace.files import write  # noqa: E402
+from benchmarks.raytrace.kinds import KINDS, draw  # noqa: E402
+from benchmarks.raytrace.scene import Scene  # noqa: E402
 
 # Alignable scenes are most of the mixture; the kinds that take minutes or that ask for refusal are rarer.
 WEIGHTS = {"large": 0.4} | {kind: 0.5 for kind in KINDS if kind.startswith("refuse-")}

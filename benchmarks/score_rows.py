@@ -64,7 +64,7 @@ def main() -> int:
         command += ["--slab", f"{truth['slab'][1]:.12g}"] if truth["tell_slab"] else []
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         report = out / "alignment.json"
-        got = json.loads(report.read_text()) if report.exists() else {"status": "none"}
+        got: dict = json.loads(report.read_text()) if report.exists() else {"status": "none"}
         row: dict[str, object] = {
             "name": truth["name"],
             "code": done.returncode,

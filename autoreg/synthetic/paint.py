@@ -69,6 +69,8 @@ class Ground:
 
     def texture(self, x: Tones, y: Tones, width: Tones) -> Tones:
         """Relative tone of stone at three scales; what is finer than the footprint averages out."""
+        if self.scene.texture == 0:
+            return np.ones_like(x)
         total = np.zeros_like(x)
         for table, grain in zip(self._noise, (0.5, 0.06, 0.012), strict=True):
             fade = np.minimum(1.0, (0.5 * grain / width) ** 2)

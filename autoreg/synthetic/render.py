@@ -27,6 +27,16 @@ def render_paving(scene: SyntheticScene) -> SyntheticPhoto:
         ValueError: the camera's distortion cannot be inverted over the whole picture.
     """
     rng = np.random.default_rng(scene.seed)
+    grey = _grey(scene, rng)
+    return SyntheticPhoto(_developed(scene, grey, rng), scene.camera, scene.cam_from_ground, _truth(scene))
+
+
+def clean_grey(scene: SyntheticScene) -> Grid:
+    """Grey levels of a scene before noise and rounding: what the sensor would see on average."""
+    return _grey(scene, np.random.default_rng(scene.seed))
+
+
+def _grey(scene: SyntheticScene, rng: np.random.Generator) -> Grid:
     ground = Ground(scene, rng)
     x_centre, y_centre = _ground_grid(scene, 0.0, 0.0)
     things = _Things(scene, x_centre, y_centre, rng)
@@ -37,9 +47,7 @@ def render_paving(scene: SyntheticScene) -> SyntheticPhoto:
         for dv in offsets:
             x, y = (x_centre, y_centre) if scene.samples == 1 else _ground_grid(scene, float(du), float(dv))
             total += _sample(scene, ground, things, x, y, width_x, width_y)
-    grey = total / scene.samples**2
-    grey = _blurred(grey, scene.blur_px)
-    return SyntheticPhoto(_developed(scene, grey, rng), scene.camera, scene.cam_from_ground, _truth(scene))
+    return _blurred(total / scene.samples**2, scene.blur_px)
 
 
 def _ideal_pixels(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:

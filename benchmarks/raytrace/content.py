@@ -9,9 +9,10 @@ import numpy as np
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.synthetic import ground_points
-from raytrace.scene import Paving, Scene
-from raytrace.slabs import Slabs, boxes_text, joint_growth_text, lay
-from raytrace.textures import bed, lawn, patternless, rgb, stone, tone_factors, water_film
+
+from .scene import Paving, Scene
+from .slabs import Slabs, boxes_text, joint_growth_text, lay
+from .textures import bed, lawn, patternless, rgb, stone, tone_factors, water_film
 
 MAX_SLABS = 9000
 

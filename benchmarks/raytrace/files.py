@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from raytrace.picture import take
-from raytrace.scene import Scene
+from .picture import take
+from .scene import Scene
 
 
 def truth(scene: Scene) -> dict[str, object]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from autoreg.camera import Camera
 from autoreg.synthetic import look_at_ground
-from raytrace.scene import Paving, Scene
+
+from .scene import Paving, Scene
 
 STONES = (
     (0.5, 0.48, 0.44),

@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from autoreg.camera import Camera
-from raytrace.content import scene_text
-from raytrace.scene import Scene
+
+from .content import scene_text
+from .scene import Scene
 
 
 def run_povray(text: str, width: int, height: int, extra: tuple[str, ...]) -> UInt8[np.ndarray, "h w 3"]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from raytrace.scene import Paving
-from raytrace.textures import TONES
+from .scene import Paving
+from .textures import TONES
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raytrace.scene import Paving
+from .scene import Paving
 
 Colour = tuple[float, float, float]
 TONES = 24

@@ -1,0 +1,104 @@
+"""The suite's command line: `python -m benchmarks --help`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rich.console import Console
+
+from benchmarks.gate import BASELINE, judge, mode_of, read_baseline, write_baseline
+from benchmarks.options import Options
+from benchmarks.plots import draw_all
+from benchmarks.report import machine, markdown, print_report
+from benchmarks.result import Result, read_results, to_json
+from benchmarks.suites import NAMES, UnknownSuite, chosen, run_suite
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+BAD_USAGE, GATE_SHUT = 2, 1
+
+
+def parser() -> argparse.ArgumentParser:
+    """The options."""
+    made = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description="How good autoreg is: against the physical limit, one LSD pass, and peers.",
+        epilog=f"suites: {', '.join(NAMES)}. Exit codes: 0, 1 the gate is shut, 2 bad usage.",
+    )
+    plain = Options(Path("benchmark-results"))
+    made.add_argument("--quick", action="store_true", help="the short run: few seeds, small pictures")
+    made.add_argument(
+        "--only", action="append", default=[], metavar="NAME", help="only this suite; repeat it"
+    )
+    made.add_argument("--gate", action="store_true", help="fail where a figure is worse than the baseline")
+    made.add_argument("--out", type=Path, default=plain.out, metavar="DIR", help="folder of results")
+    made.add_argument("--update-baseline", action="store_true", help="make this run's figures the baseline")
+    made.add_argument("--docs", action="store_true", help="write docs/benchmarks.md from all results in DIR")
+    made.add_argument("--again", action="store_true", help="run nothing, report the results in DIR")
+    made.add_argument("--seeds", type=int, help="so many seeds instead of a suite's own number")
+    for name in ("yorkurban", "photos", "scenes", "chessboards"):
+        made.add_argument(f"--{name}", type=Path, default=getattr(plain, name), metavar="DIR", help="data")
+    return made
+
+
+def main(words: Sequence[str] | None = None, console: Console | None = None) -> int:
+    """Run what was asked for; the exit code."""
+    asked = parser().parse_args(words)
+    console = console or Console(soft_wrap=False)
+    options = Options(
+        asked.out, asked.quick, asked.seeds, asked.yorkurban, asked.photos, asked.scenes, asked.chessboards
+    )
+    try:
+        names = chosen(asked.only, quick=asked.quick)
+        if asked.seeds is not None and asked.seeds < 2:
+            raise UnknownSuite(f"--seeds wants at least 2, got {asked.seeds}")
+    except UnknownSuite as error:
+        print(f"error: {error}", file=sys.stderr)
+        return BAD_USAGE
+    options.out.mkdir(parents=True, exist_ok=True)
+    kept, place = options.out / f"results-{mode_of(options.quick)}.json", machine()
+    earlier = {result.suite: result for result in read_results(kept)}
+    ran = tuple(earlier[name] for name in names if name in earlier) if asked.again else _run(names, options)
+    together = earlier | {result.suite: result for result in ran}
+    # Suites may be run one by one: the folder holds the latest result of each.
+    every = tuple(together[name] for name in NAMES if name in together)
+    kept.write_text(to_json(every, place))
+    baseline = read_baseline(BASELINE, options.quick)
+    judged = judge(ran, baseline, options.quick)
+    print_report(ran, judged, console)
+    draw_all(every, options.out / "images")
+    (options.out / "report.md").write_text(markdown(every, judge(every, baseline, options.quick), place))
+    console.print(f"wrote {options.out}/report.md, {kept} and the plots", soft_wrap=True)
+    if asked.docs:
+        text = markdown(every, judge(every, baseline, options.quick), place)
+        (DOCS / "benchmarks.md").write_text(text)
+        draw_all(every, DOCS / "images")
+        console.print("wrote docs/benchmarks.md", soft_wrap=True)
+    if asked.update_baseline:
+        write_baseline(BASELINE, ran, options.quick)
+        console.print(f"the baseline ({mode_of(options.quick)}) is now this run's", soft_wrap=True)
+    elif asked.gate:
+        failed = [j for j in judged if j.failed]
+        for judgement in failed:
+            print(f"gate: {judgement.sentence()}", file=sys.stderr)
+        return GATE_SHUT if failed else 0
+    return 0
+
+
+def _run(names: Sequence[str], options: Options) -> tuple[Result, ...]:
+    done: list[Result] = []
+    for name in names:
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        began = time.monotonic()
+        result = run_suite(name, options)
+        took = time.monotonic() - began
+        done.append(replace(result, seconds=took, command=options.command(name), quick=options.quick))
+    return tuple(done)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""What one run of the suite was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices that hold for every suite.
+
+    Attributes:
+        quick: the short run of continuous integration.
+        out: folder of results; pictures that a suite needs are kept there too, and not made again.
+        seeds: so many seeds where a suite draws noise, instead of its own number.
+        yorkurban: folder of the York Urban pictures and `ground_truth.json`.
+        photos: folder of real photos, with `paved/` and `refuse/`.
+        scenes: folder of ray-traced scenes with truth.
+        chessboards: folder of published sets of chessboard photos.
+    """
+
+    out: Path
+    quick: bool = False
+    seeds: int | None = None
+    yorkurban: Path = SHARED / "yorkurban"
+    photos: Path = SHARED / "photos"
+    scenes: Path = SHARED / "scenes"
+    chessboards: Path = SHARED / "chessboards"
+
+    def count(self, quick: int, full: int) -> int:
+        """How many seeds to draw."""
+        return self.seeds if self.seeds is not None else quick if self.quick else full
+
+    def cache(self, name: str) -> Path:
+        """A folder, made if missing, for what a suite keeps between runs."""
+        folder = self.out / "cache" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def command(self, suite: str) -> str:
+        """The command that measures a suite's figures again."""
+        words = ["python -m benchmarks --only", suite]
+        words += ["--quick"] if self.quick else []
+        words += [] if self.seeds is None else [f"--seeds {self.seeds}"]
+        plain = Options(self.out)
+        for name in ("yorkurban", "photos", "scenes", "chessboards"):
+            if getattr(self, name) != getattr(plain, name):
+                words.append(f"--{name} {getattr(self, name)}")
+        return " ".join(words)

@@ -1,0 +1,122 @@
+"""Programs that the speed suite starts as processes of their own; each prints JSON on its last line.
+
+python -m benchmarks.speed_child floor PHOTO            decode and one LSD pass, cv2 and jax imported
+python -m benchmarks.speed_child align PHOTO CAMERA N   stages in process, N times
+python -m benchmarks.speed_child many FOLDER OUT        every photo of a folder, as the command does it
+python -m benchmarks.speed_child solver CACHE           what the solver's compilation takes
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+SLAB_M = (0.4, 0.4)
+# Steps of `autoreg.align`, as far as they are there under these names.
+STAGES = ("looks_at", "detect_segments", "find_paving", "measure", "_concluded")
+
+
+def floor(photo: str) -> dict[str, Any]:
+    """What no such program can do without."""
+    import cv2
+
+    # The command needs jax, so the floor pays for it too.
+    __import__("jax")
+    gray = cv2.imread(photo, cv2.IMREAD_GRAYSCALE)
+    assert gray is not None
+    return {"segments": len(cv2.createLineSegmentDetector().detect(gray)[0])}
+
+
+def align(photo: str, camera_file: str, repeats: str) -> dict[str, Any]:
+    """Seconds of decoding with one LSD pass, of `align` and of its stages: the best of so many repeats."""
+    import cv2
+
+    from autoreg.camera_files import read_camera
+    from autoreg.errors import Refusal
+    from autoreg.segments import detect_segments
+
+    pipeline: Any = sys.modules.get("autoreg.align") or __import__("autoreg.align", fromlist=["align"])
+    camera = read_camera(Path(camera_file))
+    spent: dict[str, float] = defaultdict(float)
+    for name in STAGES:
+        if hasattr(pipeline, name):
+            setattr(pipeline, name, _timed(getattr(pipeline, name), name, spent))
+    pipeline.warm_up()
+    best: dict[str, float] = {}
+    ended, joints, segments = "aligned", 0, 0
+    for turn in range(int(repeats) + 1):
+        began = time.perf_counter()
+        gray = cv2.imread(photo, cv2.IMREAD_GRAYSCALE)
+        assert gray is not None
+        decoded = time.perf_counter()
+        cv2.createLineSegmentDetector().detect(gray)
+        passed = time.perf_counter()
+        spent.clear()
+        try:
+            joints = pipeline.align(gray, camera, slab=SLAB_M).residual.joints
+        except Refusal as refusal:
+            ended = f"refused: {refusal.code}"
+        done = time.perf_counter()
+        segments = segments or len(detect_segments(gray))
+        times = {"decode": decoded - began, "lsd": passed - decoded, "align": done - passed, **spent}
+        # The first turn warms up.
+        if turn:
+            best = {k: min(v, best.get(k, v)) for k, v in times.items()}
+    return {"seconds": best, "ended": ended, "joints": joints, "segments": segments}
+
+
+def _timed(call: Callable[..., Any], name: str, spent: dict[str, float]) -> Callable[..., Any]:
+    def timed(*words: Any, **options: Any) -> Any:
+        began = time.perf_counter()
+        try:
+            return call(*words, **options)
+        finally:
+            spent[name] += time.perf_counter() - began
+
+    return timed
+
+
+def many(folder: str, out: str) -> dict[str, Any]:
+    """Seconds for every photo of a folder in this one process, two at a time."""
+    from autoreg.job import Job, Listener, run_job
+
+    listener = Listener(note=lambda text: None, doing=lambda text: None)
+    photos = sorted(Path(folder).glob("*.jpg"))
+    jobs = [Job(p, Path(out) / p.stem, Path(folder) / "camera.json", slab=SLAB_M) for p in photos]
+    began = time.perf_counter()
+    with ThreadPoolExecutor(2) as pool:
+        outcomes = list(pool.map(lambda job: run_job(job, listener), jobs))
+    took = time.perf_counter() - began
+    return {"photos": len(photos), "seconds": took, "aligned": sum(o.alignment is not None for o in outcomes)}
+
+
+def solver(cache: str) -> dict[str, Any]:
+    """Seconds until the solver's step is compiled, or fetched from the cache in that folder."""
+    from autoreg import solver as compiled
+
+    compiled.enable_compilation_cache(Path(cache))
+    began = time.perf_counter()
+    compiled.warm_up()
+    return {"seconds": time.perf_counter() - began}
+
+
+def main() -> None:
+    """Run one of the programs."""
+    name, *words = sys.argv[1:]
+    programs: dict[str, Callable[..., dict[str, Any]]] = {
+        "floor": floor,
+        "align": align,
+        "many": many,
+        "solver": solver,
+    }
+    print(json.dumps(programs[name](*words)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,238 @@
+"""Where it breaks: success, refusal and wrong answers of the whole `align`, one difficulty at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from autoreg.align import align
+from autoreg.alignment import Alignment
+from autoreg.camera import Camera
+from autoreg.errors import Refusal
+from autoreg.geometry import Rigid, angle_between_rotations
+from autoreg.image import as_gray
+from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
+from benchmarks.last_stage import crossings_of
+from benchmarks.metrics import Figure
+from benchmarks.options import Options
+from benchmarks.result import Plot, Result, Series, Table
+
+Became = Literal["success", "refused", "wrong", "told"]
+
+# A success is within so many degrees, and such shares of the short side and of the camera's height.
+TURN_DEG, ON_GROUND, HEIGHT = 0.5, 0.02, 0.02
+HALF_BREAKS = 0.5
+
+
+@dataclass(frozen=True)
+class Photo:
+    """What is given to `align`, and what is so: `told` is the camera that it is told."""
+
+    gray: np.ndarray
+    scene: SyntheticScene
+    told: Camera
+
+
+Change = Callable[[SyntheticScene, float], SyntheticScene]
+Spoil = Callable[[Photo, float, np.random.Generator], Photo]
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One kind of difficulty: how the scene changes with it, and how the finished photo is spoilt."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    change: Change = lambda scene, value: scene
+    spoil: Spoil = lambda photo, value, rng: photo
+
+
+def _tilted(scene: SyntheticScene, tilt_deg: float) -> SyntheticScene:
+    pose = look_at_ground(
+        pitch_deg=tilt_deg, height_m=1.6, heading_deg=scene.seed * 37.0 % 90, roll_deg=1.0, foot_m=(0.1, 0.2)
+    )
+    return replace(scene, cam_from_ground=pose)
+
+
+def _bent(scene: SyntheticScene, k1: float) -> SyntheticScene:
+    return replace(scene, camera=replace(scene.camera, dist=(k1, *scene.camera.dist[1:])))
+
+
+def _false_lines(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
+    """Dark lines of a joint's look, anywhere: so many for a true one that they are this share of all."""
+    gray, (height, width) = photo.gray.copy(), photo.gray.shape
+    true_lines = 20
+    for _ in range(round(true_lines * share / (1 - share))):
+        a = rng.uniform([0, 0], [width, height])
+        way = rng.uniform(0, np.pi)
+        b = a + 0.4 * width * np.array([np.cos(way), np.sin(way)])
+        ends = [tuple(int(v) for v in np.round(16 * p)) for p in (a, b)]
+        tone = float(photo.scene.joint_tone)
+        cv2.line(gray, ends[0], ends[1], tone, int(rng.integers(1, 4)), cv2.LINE_AA, 4)
+    return replace(photo, gray=gray)
+
+
+def _covered(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
+    """Discs of any tone until this share of the picture is hidden."""
+    gray, (height, width) = photo.gray.copy(), photo.gray.shape
+    hidden = np.zeros(gray.shape, np.uint8)
+    while hidden.mean() < share:
+        centre = tuple(int(v) for v in rng.uniform([0, 0], [width, height]))
+        radius = int(rng.uniform(0.04, 0.12) * width)
+        cv2.circle(gray, centre, radius, float(rng.uniform(30, 220)), -1, cv2.LINE_AA)
+        cv2.circle(hidden, centre, radius, 1, -1)
+    return replace(photo, gray=gray)
+
+
+def _wrong_camera(photo: Photo, percent: float, rng: np.random.Generator) -> Photo:
+    factor = 1 + 0.01 * percent * rng.choice([-1.0, 1.0])
+    told = replace(photo.told, fx=photo.told.fx * factor, fy=photo.told.fy * factor)
+    return replace(photo, told=told)
+
+
+AXES = (
+    Axis("noise", "grey levels", (2, 8, 16, 24, 32, 48), lambda s, v: replace(s, noise_grey=v)),
+    Axis("blur", "px", (0.5, 1.5, 2.5, 4.0, 6.0), lambda s, v: replace(s, blur_px=v)),
+    Axis("contrast", "grey levels", (90, 40, 20, 10, 5), lambda s, v: replace(s, joint_tone=s.slab_tone - v)),
+    Axis("tilt", "degrees below the horizon", (75, 45, 30, 20, 14, 11, 8), _tilted),
+    Axis("false lines", "share of all lines", (0.0, 0.2, 0.4, 0.6, 0.75), spoil=_false_lines),
+    Axis("occlusion", "share of the picture", (0.0, 0.2, 0.4, 0.6, 0.75), spoil=_covered),
+    Axis("shadows", "number", (0, 2, 4, 8), lambda s, v: replace(s, shadows=int(v))),
+    Axis("distortion", "k1", (0.0, -0.1, -0.2, -0.3), _bent),
+    Axis(
+        "bond", "shift", (0.0, 0.25, 1 / 3, 0.5), lambda s, v: replace(s, spacing_m=(0.6, 0.3), shift=v)
+    ),
+    Axis("joint width", "mm", (2, 4, 8, 20, 40), lambda s, v: replace(s, joint_width_m=1e-3 * v)),
+    Axis("wrong focal length", "%", (0, 1, 3, 10, 20, 30), spoil=_wrong_camera),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Point:
+    """What became of the photos at one value of a difficulty."""
+
+    axis: Axis
+    value: float
+    became: tuple[Became, ...]
+
+    def share(self, *kinds: Became) -> float:
+        """Share of the photos that became one of these."""
+        return sum(b in kinds for b in self.became) / len(self.became)
+
+
+def take(axis: Axis, value: float, seed: int, size: tuple[int, int]) -> Photo:
+    """One photo."""
+    width, height = size
+    plain = SyntheticScene(camera=Camera.from_focal(width, height, 0.875 * width), colour=False, seed=seed)
+    scene = axis.change(_tilted(plain, 38.0), value)
+    photo = Photo(as_gray(render_paving(scene).pixels), scene, scene.camera)
+    return axis.spoil(photo, value, np.random.default_rng([31, seed]))
+
+
+def judge(photo: Photo) -> Became:
+    """What `align` makes of it; "told" where a wrong answer comes with the word that the camera is wrong."""
+    try:
+        found = align(photo.gray, photo.told, slab=photo.scene.spacing_m)
+    except Refusal:
+        return "refused"
+    if within(found, photo.scene):
+        return "success"
+    return "told" if found.camera.consistent is False else "wrong"
+
+
+def within(found: Alignment, scene: SyntheticScene) -> bool:
+    """Whether an alignment is the true one up to the lattice's symmetry."""
+    pose, true = found.pose.cam_from_ground, scene.cam_from_ground
+    a, b = found.lattice.spacing_x, found.lattice.spacing_y
+    if a is None or angle_up_to_quarter_turns(pose, true) > TURN_DEG:
+        return False
+    if abs(pose.origin_in_a[2] / true.origin_in_a[2] - 1) > HEIGHT:
+        return False
+    # Where the true crossings are seen, on the found ground, and the found crossings nearest to them.
+    points = crossings_of(scene, heights=4.0)
+    seen = np.c_[points, np.zeros(len(points))] @ true.R.T + true.t
+    rays, eye = seen @ pose.R, pose.origin_in_a
+    ground = eye[:2] - rays[:, :2] * (eye[2] / rays[:, 2:])
+    row = np.round(ground[:, 1] / b)
+    moved = row * (found.lattice.shift or 0.0)
+    near = np.stack([(np.round(ground[:, 0] / a - moved) + moved) * a, row * b], 1)
+    off = np.sqrt(np.mean(((near - ground) ** 2).sum(1)))
+    return bool(off < ON_GROUND * min(scene.spacing_m))
+
+
+def angle_up_to_quarter_turns(found: Rigid, true: Rigid) -> float:
+    """Least angle in degrees between rotations, over quarter turns of the ground."""
+    turns = [
+        np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))
+    ]
+    return float(np.rad2deg(min(angle_between_rotations(found.R @ turn, true.R) for turn in turns)))
+
+
+def run(options: Options) -> Result:
+    """The whole grid, or the easy and one hard point of some axes."""
+    seeds = options.count(1, 5)
+    size = (640, 480) if options.quick else (1024, 768)
+    axes = [replace(axis, values=axis.values[1:4:2]) for axis in AXES[1:5]] if options.quick else AXES
+    points = [
+        Point(axis, value, tuple(judge(take(axis, value, seed, size)) for seed in range(1, seeds + 1)))
+        for axis in axes
+        for value in axis.values
+    ]
+    every = [b for point in points for b in point.became]
+    table = Table(
+        "What became of the photos, per cent",
+        ("difficulty", "value", "success", "told that the camera is wrong", "refused", "wrong"),
+        tuple(
+            (
+                point.axis.name,
+                f"{point.value:.3g}",
+                *(f"{100 * point.share(kind):.0f}" for kind in ("success", "told", "refused", "wrong")),
+            )
+            for point in points
+        ),
+    )
+    return Result(
+        "robust",
+        about=(
+            f"The whole `align` with camera and slab, {seeds} photos of {size[0]} x {size[1]} for "
+            f"each value. A success "
+            f"is within {TURN_DEG}°, {100 * ON_GROUND:g} % of a side at the crossings, and "
+            f"{100 * HEIGHT:g} % of the "
+            "camera's height; wrong is aligned beyond that without the word that the camera is wrong."
+        ),
+        figures=(
+            Figure("robust.wrong", 100.0 * every.count("wrong") / len(every)),
+            Figure("robust.success", 100.0 * every.count("success") / len(every)),
+            Figure("robust.refused", 100.0 * every.count("refused") / len(every)),
+        ),
+        tables=(table,),
+        plots=tuple(_curve(axis, points) for axis in axes if len(axis.values) > 2),
+        notes=_breaks(points),
+    )
+
+
+def _curve(axis: Axis, points: list[Point]) -> Plot:
+    mine = sorted((p for p in points if p.axis.name == axis.name), key=lambda p: p.value)
+    x = tuple(float(p.value) for p in mine)
+    series = (
+        Series("success", x, tuple(p.share("success") for p in mine)),
+        Series("refused or told", x, tuple(p.share("refused", "told") for p in mine)),
+        Series("wrong", x, tuple(p.share("wrong") for p in mine)),
+    )
+    title = f"What becomes of a photo, by {axis.name}"
+    return Plot(axis.name.replace(" ", "-"), title, f"{axis.name}, {axis.unit}", "share", series)
+
+
+def _breaks(points: list[Point]) -> tuple[str, ...]:
+    """Where half of the photos are lost, on each axis."""
+    said: list[str] = []
+    for name in dict.fromkeys(p.axis.name for p in points):
+        lost = [p for p in points if p.axis.name == name and p.share("success") <= HALF_BREAKS]
+        if lost:
+            said.append(f"{name} from {lost[0].value:.3g} {lost[0].axis.unit}")
+    return (f"Half of the photos or more are lost at: {'; '.join(said)}.",) if said else ()

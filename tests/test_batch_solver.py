@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_solver import EVERYTHING, POSE, problem
+
+from autoreg.batch_solver import solve_batch
+from autoreg.residuals import FOCAL, PARAMETERS
+from autoreg.solver import Prior, solve_joints
+
+
+def test_a_batch_solves_what_the_single_solver_solves():
+    # Two problems of up to 128 joints each time: what is compiled for one test serves the others.
+    problems = [problem(seed, n=100 + 20 * seed, noise_px=0.1, outliers=0.15) for seed in range(2)]
+    for data, one in zip(problems, solve_batch(problems, POSE), strict=True):
+        alone = solve_joints(data, POSE)
+        assert one.outcome == alone.outcome == "converged"
+        assert one.parameters == pytest.approx(alone.parameters, abs=1e-6)
+        assert one.cost == pytest.approx(alone.cost, rel=1e-6)
+        assert one.distances_px == pytest.approx(alone.distances_px, abs=1e-3)
+        assert one.jacobian == pytest.approx(alone.jacobian, rel=1e-4, abs=1e-2)
+
+
+def test_exact_joints_give_the_exact_pose():
+    for found in solve_batch([problem(3, n=125), problem(4, n=80)], POSE):
+        assert found.outcome == "converged"
+        assert np.abs(found.distances_px).max() < 1e-6
+
+
+def test_frozen_parameters_stay_and_priors_hold_the_free():
+    free = np.zeros(PARAMETERS)
+    free[:8] = 1.0
+    tight = np.full(PARAMETERS, np.inf)
+    tight[FOCAL] = 1e-9
+    problems = [problem(1, n=120, noise_px=0.1), problem(2, n=120, noise_px=0.1)]
+    open_, held = (
+        solve_batch(problems, free),
+        solve_batch(problems, free, [Prior(np.zeros(PARAMETERS), tight)] * 2),
+    )
+    for a, b in zip(open_, held, strict=True):
+        assert (a.parameters[8:] == 0).all()
+        assert abs(a.parameters[FOCAL]) > 1e-6
+        assert abs(b.parameters[FOCAL]) < 1e-8
+
+
+def test_a_start_without_a_finite_cost_diverges_by_name():
+    data = problem(0, n=120)
+    broken = data._replace(measured_px=np.full_like(data.measured_px, np.nan))
+    good, bad = solve_batch([data, broken], POSE)
+    assert good.outcome == "converged"
+    assert bad.outcome == "diverged"
+
+
+def test_no_problem_and_a_problem_without_joints_are_errors():
+    with pytest.raises(ValueError, match="at least one"):
+        solve_batch([], EVERYTHING)
