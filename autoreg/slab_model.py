@@ -38,7 +38,7 @@ LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
 # Slope across the joint (ground distance over camera height) at which the relief stops growing.
 KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
 # A slab side's place is not known better than this, whatever its profiles say: texture, interpolation, JPEG.
-SIDE_FLOOR_PX = 0.03
+SIDE_FLOOR_PX = 0.01
 # Joints in relief scatter beyond the model (shadows within them, other shapes of the relief): the variance is
 # this much larger where there is a relief, as measured on ray-traced pavings.
 MISFIT = 2.0
