@@ -281,7 +281,7 @@ def refine_in_field(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np
         fit.grid,
         free=fit.free,
         search=0.05,
-        reaches=(9.0, 9.0),
+        reaches=(9.0,),
         strip=fit.strip,
         field=field,
         limit=STATIONS,
