@@ -16,13 +16,14 @@ import cv2
 import numpy as np
 from scipy.stats import chi2
 
-from autoreg.calibration.adjustment import data_of
 from autoreg.calibration.bad_views import sift
 from autoreg.calibration.board import Board, BoardView
 from autoreg.calibration.detection import find_board
 from autoreg.calibration.models import INTRINSICS, intrinsics_of
+from autoreg.calibration.observations import data_of
 from autoreg.calibration.photos import search_photos
-from autoreg.calibration.pipeline import Calibration, calibrate, calibrate_views
+from autoreg.calibration.pipeline import calibrate, calibrate_views
+from autoreg.calibration.result import Calibration
 from autoreg.calibration.starting import first_state
 from autoreg.calibration.synthetic import BoardScene, random_pose, render_board
 from autoreg.camera import Camera

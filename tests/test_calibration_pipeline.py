@@ -277,7 +277,7 @@ def test_the_report_is_one_file_with_its_pictures_inside(made, tmp_path):
 def test_names_in_the_report_are_escaped(made, tmp_path):
     from dataclasses import replace
 
-    from autoreg.calibration.pipeline import LeftOut
+    from autoreg.calibration.result import LeftOut
 
     odd = replace(made, left_out=(LeftOut("<script>.jpg", "no board"),))
     page = write_report(odd, tmp_path, "1.0")[0].read_text()

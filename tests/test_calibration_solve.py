@@ -6,16 +6,18 @@ import pytest
 from boards import BOARD, CAMERA, exact, poses, views
 from scipy.optimize import least_squares
 
-from autoreg.calibration.adjustment import Freedom, State, adjust, data_of, without_views
+from autoreg.calibration.adjustment import adjust, without_views
 from autoreg.calibration.bad_views import held_out_rms, sift
 from autoreg.calibration.board import Board, BoardView
 from autoreg.calibration.flatness import examine_flatness
 from autoreg.calibration.model_choice import chosen, try_models
 from autoreg.calibration.models import GENERAL, LENS_MODELS, camera_of, intrinsics_of
+from autoreg.calibration.observations import data_of
 from autoreg.calibration.precision import precision_of
 from autoreg.calibration.projection_map import difference_map, halves_differ, uncertainty_map
 from autoreg.calibration.starting import first_state
 from autoreg.calibration.synthetic import bent_points
+from autoreg.calibration.unknowns import Freedom, State
 from autoreg.camera import Camera
 
 W, H = CAMERA.width, CAMERA.height

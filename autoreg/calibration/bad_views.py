@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.calibration.adjustment import Adjustment, Data, Freedom, State, adjust
+from autoreg.calibration.adjustment import Adjustment, adjust
 from autoreg.calibration.models import GENERAL
+from autoreg.calibration.observations import Data
+from autoreg.calibration.unknowns import Freedom, State
 
 # A view is bad if it is foretold this many times worse than the median view, and if that is also this many
 # standard deviations of the spread among the views, on a logarithmic scale.

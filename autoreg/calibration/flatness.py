@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.calibration.adjustment import Adjustment, Data, Freedom, adjust
+from autoreg.calibration.adjustment import Adjustment, adjust
 from autoreg.calibration.board import Board
+from autoreg.calibration.observations import Data
+from autoreg.calibration.unknowns import Freedom
 
 # A view looked at so steeply that heights hardly show says nothing about them.
 _LEAST_SIGHT = 0.15

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from autoreg.calibration.models import INTRINSICS
-from autoreg.calibration.pipeline import Calibration
 from autoreg.calibration.plots import plots_of
+from autoreg.calibration.result import Calibration
 from autoreg.outputs import write_whole
 
 REPORT_NAME = "calibration.html"

@@ -7,17 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from autoreg.calibration.adjustment import (
-    Adjustment,
-    Data,
-    Freedom,
-    State,
-    adjust,
-    fit_poses,
-    without_views,
-)
+from autoreg.calibration.adjustment import Adjustment, adjust, fit_poses, without_views
 from autoreg.calibration.models import COUNT, LENS_MODELS, LensModel, camera_of
+from autoreg.calibration.observations import Data
 from autoreg.calibration.precision import precision_of
+from autoreg.calibration.unknowns import Freedom, State
 
 _FOLDS = 10
 _RATIONAL_ERRORS = 2.0

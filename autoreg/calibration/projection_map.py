@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.calibration.adjustment import Adjustment, Data, Freedom, adjust
+from autoreg.calibration.adjustment import Adjustment, adjust
 from autoreg.calibration.models import COUNT, Intrinsics, camera_of
+from autoreg.calibration.observations import Data
+from autoreg.calibration.unknowns import Freedom
 from autoreg.camera import Camera
 
 _NODES = 33
