@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from autoreg.calibration.models import COUNT
 from autoreg.calibration.normal_equations import POSE, NormalEquations, Problem
@@ -32,25 +32,36 @@ class Adjustment:
         state: the unknowns.
         residuals_px: measured minus projected, 0 where a view has no such corner.
         present: which of them are corners.
+        standpoint: a number for each view; views that repeat one another share it.
         weights: by which robust fitting counted each corner, at most 1.
         information: each view's matrix for the free common unknowns, poses eliminated, in pixels^-2.
         gradients: each view's part of the gradient there, likewise.
+        prior: what was known beforehand of each free common unknown, likewise.
         free: which common unknowns were free: first the intrinsics, then the sheet's.
+        freedom: what was free.
     """
 
     outcome: Outcome
     state: State
     residuals_px: Float[np.ndarray, "v n 2"]
     present: Bool[np.ndarray, "v n"]
+    standpoint: Int[np.ndarray, " v"]
     weights: Float[np.ndarray, "v n"]
     information: Float[np.ndarray, "v f f"]
     gradients: Float[np.ndarray, "v f"]
+    prior: Float[np.ndarray, " f"]
     free: Bool[np.ndarray, " c"]
+    freedom: Freedom
 
     @property
     def views(self) -> int:
         """Number of views."""
         return len(self.present)
+
+    @cached_property
+    def total(self) -> Float[np.ndarray, "f f"]:
+        """The information of all views, and what was known beforehand, on the free common unknowns."""
+        return self.information.sum(0) + np.diag(self.prior)
 
     @cached_property
     def spare(self) -> int:
@@ -84,7 +95,14 @@ class Adjustment:
         return float(np.mean(np.sqrt((self.residuals_px**2).sum((1, 2))) / counts))
 
 
-def adjust(data: Data, start: State, freedom: Freedom, *, steps: int = _MOST_STEPS) -> Adjustment:
+def adjust(
+    data: Data,
+    start: State,
+    freedom: Freedom,
+    *,
+    steps: int = _MOST_STEPS,
+    tolerance: float = _CONVERGED,
+) -> Adjustment:
     """The adjustment that lays the projected corners on the measured ones, by Levenberg and Marquardt.
 
     The residuals are counted by Huber's weights, their scale being estimated from the median.
@@ -94,6 +112,7 @@ def adjust(data: Data, start: State, freedom: Freedom, *, steps: int = _MOST_STE
         start: first values; good to a part of the picture's size.
         freedom: what may move besides the poses.
         steps: at most so many steps.
+        tolerance: a step that would lower the cost by less than this part of it is the last.
     """
     problem = Problem(data, freedom)
     state = start
@@ -103,7 +122,7 @@ def adjust(data: Data, start: State, freedom: Freedom, *, steps: int = _MOST_STE
         return _ended("diverged", problem, state, linear)
     for _ in range(steps):
         step, promised = linear.step(damping)
-        if promised <= _CONVERGED * linear.cost + 1e-14:
+        if promised <= tolerance * linear.cost + 1e-14:
             outcome = "converged"
             break
         tried_state = problem.moved(state, step)
@@ -122,9 +141,9 @@ def adjust(data: Data, start: State, freedom: Freedom, *, steps: int = _MOST_STE
     return _ended(outcome, problem, state, linear)
 
 
-def fit_poses(data: Data, state: State, *, steps: int = 12) -> Adjustment:
+def fit_poses(data: Data, state: State, *, steps: int = 12, tolerance: float = _CONVERGED) -> Adjustment:
     """The adjustment of the poses alone, intrinsics and shape as they are."""
-    return adjust(data, state, Freedom(np.zeros(COUNT, bool)), steps=steps)
+    return adjust(data, state, Freedom(np.zeros(COUNT, bool)), steps=steps, tolerance=tolerance)
 
 
 def without_views(fit: Adjustment, group: Bool[np.ndarray, " v"]) -> State:
@@ -132,7 +151,7 @@ def without_views(fit: Adjustment, group: Bool[np.ndarray, " v"]) -> State:
 
     Their gradients g are what the others' no longer balance: the step is (S - S_group)^-1 g.
     """
-    information, gradient = fit.information[~group].sum(0), fit.gradients[group].sum(0)
+    information, gradient = fit.total - fit.information[group].sum(0), fit.gradients[group].sum(0)
     size = information.diagonal()
     unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
     common = np.zeros(len(fit.free))
@@ -153,8 +172,11 @@ def _ended(outcome: Outcome, problem: Problem, state: State, linear: NormalEquat
         state=state,
         residuals_px=-linear.residuals,
         present=problem.data.present,
+        standpoint=problem.data.standpoint,
         weights=linear.weights,
         information=information,
         gradients=gradients,
+        prior=linear.prior,
         free=problem.free,
+        freedom=problem.freedom,
     )

@@ -37,6 +37,8 @@ class NormalEquations:
     Hpp: np.ndarray
     gc: np.ndarray
     gp: np.ndarray
+    prior: np.ndarray
+    prior_gradient: np.ndarray
 
     def reduced(self, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Each view's information and gradient with its pose eliminated, and the eliminating matrix."""
@@ -55,8 +57,9 @@ class NormalEquations:
     def step(self, damping: float) -> tuple[tuple[np.ndarray, np.ndarray], float]:
         """The damped step of common and own unknowns, and the decrease of the cost that it promises."""
         information, gradients, eliminate = self.reduced(damping)
-        total, gradient = information.sum(0), gradients.sum(0)
-        size = self.Hcc.sum(0).diagonal()
+        total = information.sum(0) + np.diag(self.prior)
+        gradient = gradients.sum(0) + self.prior_gradient
+        size = self.Hcc.sum(0).diagonal() + self.prior
         unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
         scaled = total * unit[:, None] * unit + damping * np.eye(len(unit)) + 1e-15 * np.eye(len(unit))
         common = -unit * np.linalg.lstsq(scaled, unit * gradient, rcond=1e-14)[0]
@@ -74,7 +77,9 @@ class Problem:
         self.data = data
         bent = np.full(data.basis.shape[-1] if freedom.shape else 0, True)
         self._shaped = freedom.shape
+        self.freedom = freedom
         self.free = np.concatenate([freedom.intrinsics, bent])
+        self._prior = np.concatenate([freedom.prior**-2.0, np.zeros(len(bent))])[self.free]
 
     def linearise(self, state: State, scale_px: float | None = None) -> NormalEquations:
         """The problem at a state; the scale of Huber's weights is estimated there if it is not given."""
@@ -87,6 +92,10 @@ class Problem:
         limit = _HUBER_SIGMAS * scale_px
         weights = np.where(distance > limit, limit / np.maximum(distance, 1e-300), 1.0) * data.present
         cost = float(np.where(distance > limit, limit * (distance - limit / 2), distance**2 / 2).sum())
+        # What is known beforehand counts like measurements, in units of the corners' scatter.
+        prior = scale_px**2 * self._prior
+        common = np.concatenate([state.intrinsics, np.zeros(len(self.free) - COUNT)])[self.free]
+        cost += 0.5 * float(prior @ common**2)
         flat = (len(data), 2 * data.present.shape[1])
         A, B = J[..., POSE:][..., self.free].reshape(*flat, -1), J[..., :POSE].reshape(*flat, -1)
         r, w = residuals.reshape(*flat, 1), np.repeat(weights, 2, axis=1)[..., None]
@@ -102,6 +111,8 @@ class Problem:
             Hpp=Bw @ B,
             gc=(Aw @ r)[..., 0],
             gp=(Bw @ r)[..., 0],
+            prior=prior,
+            prior_gradient=prior * common,
         )
 
     def moved(self, state: State, step: tuple[np.ndarray, np.ndarray]) -> State:

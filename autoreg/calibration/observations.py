@@ -10,6 +10,10 @@ from jaxtyping import Bool, Float, Int
 
 from autoreg.calibration.board import Board, BoardView
 
+# Views whose corners are no further apart than this part of the board's size show it in the same place: they
+# share the errors of sheet and lens, and are no more independent than one.
+_REPEATS = 0.02
+
 
 @dataclass(frozen=True)
 class Data:
@@ -22,6 +26,8 @@ class Data:
         px: where the corners were measured.
         present: which entries are corners.
         ids: which of the board's corners they are.
+        standpoint: a number for each view; views that repeat one another, the board having hardly moved,
+            share it.
     """
 
     names: tuple[str, ...]
@@ -30,15 +36,21 @@ class Data:
     px: Float[np.ndarray, "v n 2"]
     present: Bool[np.ndarray, "v n"]
     ids: Int[np.ndarray, "v n"]
+    standpoint: Int[np.ndarray, " v"]
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def standpoints(self) -> int:
+        """Number of standpoints from which the board was seen; the number of views, but for repeats."""
+        return len(np.unique(self.standpoint))
 
     def part(self, which: Sequence[int] | np.ndarray) -> Data:
         """The data of some views."""
         which = np.asarray(which, int)
         names = tuple(self.names[i] for i in which)
-        arrays = (self.places, self.basis, self.px, self.present, self.ids)
+        arrays = (self.places, self.basis, self.px, self.present, self.ids, self.standpoint)
         return Data(names, *(array[which] for array in arrays))
 
 
@@ -55,7 +67,31 @@ def data_of(views: Sequence[BoardView], board: Board) -> Data:
         ids[k, n:] = view.ids[0]
     basis = bending(board, np.unique(ids))
     names = tuple(view.name for view in views)
-    return Data(names, board.points[ids], basis[ids], px, present, ids)
+    return Data(names, board.points[ids], basis[ids], px, present, ids, _standpoints(views))
+
+
+def _standpoints(views: Sequence[BoardView]) -> Int[np.ndarray, " v"]:
+    """A number for each view: that of the first view which it repeats, or its own."""
+    standpoint = np.arange(len(views))
+    for k, view in enumerate(views):
+        for j in range(k):
+            if standpoint[j] == j and moved(views[j], view) < _REPEATS:
+                standpoint[k] = j
+                break
+    return standpoint
+
+
+def moved(one: BoardView, other: BoardView) -> float:
+    """RMS distance between the corners that two views share, as a part of the board's size; infinite if none.
+
+    The size is the diagonal of the corners' bounding box.
+    """
+    shared, of_one, of_other = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
+    if len(shared) < 4:
+        return np.inf
+    a, b = one.corners_px[of_one], other.corners_px[of_other]
+    size = float(np.linalg.norm(np.ptp(a, axis=0)))
+    return float(np.sqrt(np.mean(((a - b) ** 2).sum(1)))) / max(size, 1e-9)
 
 
 def bending(board: Board, seen: Int[np.ndarray, " n"]) -> Float[np.ndarray, "corners s"]:

@@ -12,7 +12,7 @@ from autoreg.calibration.board import DEFAULT_DICTIONARY, DEFAULT_MARKER, Board,
 from autoreg.calibration.coverage import coverage_of
 from autoreg.calibration.flatness import examine_flatness
 from autoreg.calibration.grouping import one_camera
-from autoreg.calibration.model_choice import choice_covariance, chosen, try_models
+from autoreg.calibration.model_choice import choice_covariance, chosen, rayless, try_models
 from autoreg.calibration.models import GENERAL, LensModel, camera_of
 from autoreg.calibration.observations import data_of
 from autoreg.calibration.photos import Progress, Source, find_pattern, search_photos, sources_of
@@ -20,6 +20,7 @@ from autoreg.calibration.precision import precision_of
 from autoreg.calibration.projection_map import halves_differ, uncertainty_map
 from autoreg.calibration.refusals import (
     LEAST_VIEWS,
+    refuse_repeats,
     refuse_undetermined,
     refuse_unknown,
     refuse_wrong_pattern,
@@ -105,6 +106,7 @@ def calibrate_views(
             f"{len(views)} views of a board do not determine a camera; give at least {LEAST_VIEWS}"
         )
     everything = data_of(views, board)
+    refuse_repeats(everything)
     start = first_state(everything, width, height)
     sifted = sift(everything, start, lambda state: sound(state, width, height))
     data = everything.part(sifted.kept)
@@ -121,7 +123,7 @@ def calibrate_views(
         )
     picked = chosen(trials)
     model = picked.model
-    flat_fit = adjust(data, _with(sifted.state, model), Freedom(model.free))
+    flat_fit = adjust(data, _with(sifted.state, model), replace(picked.fit.freedom, shape=False))
     flatness = examine_flatness(data, flat_fit, board)
     fit = flat_fit
     if sheet == "bent" and flatness.bent_fit is not None:
@@ -147,9 +149,10 @@ def calibrate_views(
         halves=halves,
         rms_px=fit.rms_px,
         views=len(data),
+        standpoints=data.standpoints,
         bad=len(sifted.bad),
         bent_focal_change=change,
-        folds=picked.folds_inside,
+        rayless=rayless(fit.state, width, height),
     )
     return Calibration(
         camera=camera,

@@ -59,9 +59,23 @@ def too_few(count: int, without: Sequence[LeftOut], board: Board, sources: Seque
         if seen is not None and sorted(seen) != sorted((board.columns, board.rows)):
             hint = f"; the photos look like boards of {seen[0]}x{seen[1]} inner corners"
     return InputError(
-        f"a {board.pattern} board was found in {found} of {count} photos, but a camera needs at least "
+        f"the {board.pattern} board was found in {found} of {count} photos, but a camera needs at least "
         f"{LEAST_VIEWS} views, better 15 to 30{hint}" + ("\n" + "\n".join(lines) if lines else "")
     )
+
+
+def refuse_repeats(data: Data) -> None:
+    """Refuse views that are too few because they repeat one another, as a resting video's frames do."""
+    if data.standpoints < LEAST_VIEWS:
+        places = "one place" if data.standpoints == 1 else f"only {data.standpoints} different places"
+        raise Refusal(
+            "undetermined",
+            f"the {len(data)} views show the board in {places}, so they count as {data.standpoints}: what is "
+            f"wrong in one is wrong in all; add views with the board elsewhere, from at least {LEAST_VIEWS} "
+            "standpoints, better 15 to 30",
+            measured=data.standpoints,
+            limit=LEAST_VIEWS,
+        )
 
 
 def refuse_undetermined(data: Data, state: State, width: int, height: int) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from autoreg.calibration.models import Intrinsics
+from autoreg.calibration.models import COUNT, Intrinsics
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,15 @@ class State:
 
 @dataclass(frozen=True)
 class Freedom:
-    """Which of the common unknowns may move.
+    """Which of the common unknowns may move, and how far they are thought to.
 
     Attributes:
         intrinsics: which of the intrinsics.
         shape: whether the sheet may be bent, the same in every view.
+        prior: what is known of the intrinsics beforehand: the standard deviation of each around 0; infinite
+            where nothing is known.
     """
 
     intrinsics: Bool[np.ndarray, "12"]
     shape: bool = False
+    prior: Float[np.ndarray, "12"] = field(default_factory=lambda: np.full(COUNT, np.inf))
