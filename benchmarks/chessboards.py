@@ -155,14 +155,14 @@ def tell(name: str, runs: list[Run]) -> None:
     )
     # Runs differ in noise and in number of photos, and with them in error; so each is taken by its own scale.
     scale = np.array([run.noise_px / np.sqrt(run.photos) for run in runs])[:, None]
-    width = np.median(np.array([np.sqrt(run.covariance.diagonal()) for run in runs]) / scale, axis=0)
+    width = np.sqrt(np.mean(np.array([run.covariance.diagonal() for run in runs]) / scale**2, axis=0))
     rmse = np.sqrt(np.mean((np.array([run.error for run in runs]) / scale) ** 2, axis=0))
     together = np.mean([run.score <= chi2.ppf(0.95, 4) for run in runs])
     models = [run.model for run in runs]
     picked = ", ".join(f"{m} {models.count(m)}" for m in sorted(set(models), key=models.count, reverse=True))
     print(
         f"  {name}, {count} sets: {each}; of all {100 * share.mean():.1f}, the four together "
-        f"{100 * together:.1f}\n    stated sigma (median) over RMS error: "
+        f"{100 * together:.1f}\n    stated sigma over actual error, both RMS: "
         + " ".join(f"{ratio:.2f}" for ratio in width / rmse)
         + f"; models: {picked}",
         flush=True,

@@ -46,6 +46,13 @@ class Data:
         """Number of standpoints from which the board was seen; the number of views, but for repeats."""
         return len(np.unique(self.standpoint))
 
+    @property
+    def sizes_px(self) -> Float[np.ndarray, " v"]:
+        """Size of the board in each view: the diagonal of its corners' bounding box."""
+        low = np.where(self.present[..., None], self.px, np.inf).min(1)
+        high = np.where(self.present[..., None], self.px, -np.inf).max(1)
+        return np.linalg.norm(high - low, axis=1)
+
     def part(self, which: Sequence[int] | np.ndarray) -> Data:
         """The data of some views."""
         which = np.asarray(which, int)

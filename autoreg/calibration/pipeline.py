@@ -6,13 +6,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from autoreg.calibration.adjustment import adjust
 from autoreg.calibration.bad_views import sift
 from autoreg.calibration.board import DEFAULT_DICTIONARY, DEFAULT_MARKER, Board, BoardView, parse_pattern
 from autoreg.calibration.coverage import coverage_of
 from autoreg.calibration.flatness import examine_flatness
 from autoreg.calibration.grouping import one_camera
-from autoreg.calibration.model_choice import choice_covariance, chosen, rayless, try_models
+from autoreg.calibration.mixture import two_cameras
+from autoreg.calibration.model_choice import choice_covariance, chosen, freedom_of, rayless, try_models
 from autoreg.calibration.models import GENERAL, LensModel, camera_of
 from autoreg.calibration.observations import data_of
 from autoreg.calibration.photos import Progress, Source, find_pattern, search_photos, sources_of
@@ -25,6 +28,7 @@ from autoreg.calibration.refusals import (
     refuse_unknown,
     refuse_wrong_pattern,
     too_few,
+    without_foreign,
 )
 from autoreg.calibration.result import Calibration, LeftOut, Sheet
 from autoreg.calibration.starting import first_state, sound
@@ -98,7 +102,7 @@ def calibrate_views(
         notes: what was done to the photos, likewise.
 
     Raises:
-        InputError: there are fewer than three views.
+        InputError: there are fewer than three views, or they are of two cameras.
         Refusal: the views do not determine a camera.
     """
     if len(views) < LEAST_VIEWS:
@@ -108,6 +112,11 @@ def calibrate_views(
     everything = data_of(views, board)
     refuse_repeats(everything)
     start = first_state(everything, width, height)
+    mixture = two_cameras(everything, start, freedom_of(GENERAL, start, width, height))
+    if mixture is not None:
+        everything, foreign = without_foreign(everything, mixture)
+        left_out = [*left_out, *foreign]
+        start = start.part(np.flatnonzero(~mixture.second))
     sifted = sift(everything, start, lambda state: sound(state, width, height))
     data = everything.part(sifted.kept)
     refuse_undetermined(data, sifted.state, width, height)
@@ -125,9 +134,7 @@ def calibrate_views(
     model = picked.model
     flat_fit = adjust(data, _with(sifted.state, model), replace(picked.fit.freedom, shape=False))
     flatness = examine_flatness(data, flat_fit, board)
-    fit = flat_fit
-    if sheet == "bent" and flatness.bent_fit is not None:
-        fit = flatness.bent_fit
+    fit = flatness.bent_fit if sheet == "bent" and flatness.bent_fit is not None else flat_fit
     precision = precision_of(fit)
     among = choice_covariance(trials, picked, precision.dispersion)
     precision = replace(precision, covariance=precision.covariance + among)

@@ -9,6 +9,8 @@ import numpy as np
 from autoreg.calibration.adjustment import Adjustment
 from autoreg.calibration.board import Board
 from autoreg.calibration.coverage import coverage_of
+from autoreg.calibration.grouping import LEAST_SHARE, few
+from autoreg.calibration.mixture import Mixture
 from autoreg.calibration.observations import Data
 from autoreg.calibration.photos import BoardPhoto, Source, find_pattern
 from autoreg.calibration.precision import Precision
@@ -73,9 +75,37 @@ def refuse_repeats(data: Data) -> None:
             f"the {len(data)} views show the board in {places}, so they count as {data.standpoints}: what is "
             f"wrong in one is wrong in all; add views with the board elsewhere, from at least {LEAST_VIEWS} "
             "standpoints, better 15 to 30",
-            measured=data.standpoints,
-            limit=LEAST_VIEWS,
+            measured=float(data.standpoints),
+            limit=float(LEAST_VIEWS),
         )
+
+
+def without_foreign(data: Data, mixture: Mixture) -> tuple[Data, tuple[LeftOut, ...]]:
+    """The views of one camera, and those that another camera saw, if they are few.
+
+    Args:
+        data: the corners of all views.
+        mixture: the views as two cameras.
+
+    Raises:
+        InputError: neither camera saw most of the views.
+    """
+    members = np.flatnonzero(~mixture.second), np.flatnonzero(mixture.second)
+    if len(members[0]) < LEAST_SHARE * len(data):
+        lines = [
+            f"  {len(group)} with a focal length of {fit.state.intrinsics[0]:.0f} px, principal point "
+            f"({fit.state.intrinsics[2]:.0f}, {fit.state.intrinsics[3]:.0f}): "
+            + few([data.names[k] for k in group])
+            for group, fit in zip(members, mixture.cameras, strict=True)
+        ]
+        raise InputError(
+            "the photos are of two cameras, or of one at two settings (zoom, focus, crop, lens): each "
+            f"group fits a camera of its own, {mixture.apart:.0f} standard deviations from the other's; give "
+            "one group at a time:\n" + "\n".join(lines)
+        )
+    focal = mixture.cameras[1].state.intrinsics[0]
+    reason = f"it is of another camera or setting, with a focal length of {focal:.0f} px"
+    return data.part(members[0]), tuple(LeftOut(data.names[k], reason) for k in members[1])
 
 
 def refuse_undetermined(data: Data, state: State, width: int, height: int) -> None:
