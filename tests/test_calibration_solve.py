@@ -200,10 +200,9 @@ def test_the_chosen_lens_model_has_every_term_that_the_lens_has(dist, needed):
     assert min(lacking) > 1.1 * found.score_px
 
 
-@pytest.mark.parametrize("tangential", [0.0, 1e-4])
-def test_k_is_as_far_off_as_stated_once_a_lens_model_is_chosen(tangential):
+def test_k_is_as_far_off_as_stated_once_a_lens_model_is_chosen():
     """Terms too weak to show must not be left out: their loss is in no covariance."""
-    camera = Camera(W, H, 1000.0, 1003.0, 655.0, 468.0, (-0.2, 0.05, tangential, -tangential, 0.0))
+    camera = Camera(W, H, 1000.0, 1003.0, 655.0, 468.0, (-0.2, 0.05, 1e-4, -1e-4, 0.0))
     scores = []
     for seed in range(12):
         data = data_of(views(camera, 10, seed=seed), BOARD)

@@ -17,7 +17,7 @@ from autoreg.calibration.grouping import one_camera
 from autoreg.calibration.mixture import two_cameras
 from autoreg.calibration.model_choice import choice_covariance, chosen, freedom_of, rayless, try_models
 from autoreg.calibration.models import GENERAL, LensModel, camera_of
-from autoreg.calibration.observations import data_of
+from autoreg.calibration.observations import Data, data_of
 from autoreg.calibration.photos import Progress, Source, find_pattern, search_photos, sources_of
 from autoreg.calibration.precision import precision_of
 from autoreg.calibration.projection_map import halves_differ, uncertainty_map
@@ -111,12 +111,7 @@ def calibrate_views(
         )
     everything = data_of(views, board)
     refuse_repeats(everything)
-    start = first_state(everything, width, height)
-    mixture = two_cameras(everything, start, freedom_of(GENERAL, start, width, height))
-    if mixture is not None:
-        everything, foreign = without_foreign(everything, mixture)
-        left_out = [*left_out, *foreign]
-        start = start.part(np.flatnonzero(~mixture.second))
+    everything, start, foreign = _of_one_camera(everything, width, height)
     sifted = sift(everything, start, lambda state: sound(state, width, height))
     data = everything.part(sifted.kept)
     refuse_undetermined(data, sifted.state, width, height)
@@ -169,7 +164,7 @@ def calibrate_views(
         data=data,
         fit=fit,
         trials=trials,
-        left_out=(*left_out, *(LeftOut(bad.name, bad.reason) for bad in sifted.bad)),
+        left_out=(*left_out, *foreign, *(LeftOut(bad.name, bad.reason) for bad in sifted.bad)),
         bad=sifted.bad,
         notes=tuple(notes),
         sheet="flat" if fit is flat_fit else "bent",
@@ -179,6 +174,20 @@ def calibrate_views(
         halves=halves,
         verdict=verdict_on(evidence),
     )
+
+
+def _of_one_camera(data: Data, width: int, height: int) -> tuple[Data, State, tuple[LeftOut, ...]]:
+    """The views of one camera, first values for them, and views of another camera, if there are a few.
+
+    Raises:
+        InputError: there are many.
+    """
+    start = first_state(data, width, height)
+    mixture = two_cameras(data, start, freedom_of(GENERAL, start, width, height))
+    if mixture is None:
+        return data, start, ()
+    kept, foreign = without_foreign(data, mixture)
+    return kept, start.part(np.flatnonzero(~mixture.second)), foreign
 
 
 def _board(
