@@ -151,8 +151,7 @@ def _mixture(groups: Sequence[tuple[_Key, list[int]]], photos: Sequence[BoardPho
     ]
     return InputError(
         "the photos cannot all be of one camera at one setting; calibrate each group by itself, as the "
-        "camera "
-        "took them (unturned, uncropped, one zoom):\n" + "\n".join(lines)
+        "camera took them (unturned, uncropped, one zoom):\n" + "\n".join(lines)
     )
 
 

@@ -206,8 +206,7 @@ def _board(
         if size is None:
             raise InputError(
                 "no chessboard was found in the photos, so its pattern cannot be counted; check that the "
-                "whole "
-                "board shows, or give --pattern"
+                "whole board shows, or give --pattern"
             )
     known = square is not None
     kind = "charuco" if charuco else "chessboard"

@@ -35,10 +35,8 @@ def refuse_wrong_pattern(photos: Sequence[BoardPhoto], board: Board) -> None:
     if board.kind == "chessboard" and goes_on and larger > _LARGER_SHARE * len(goes_on):
         raise InputError(
             f"in {larger} of {len(goes_on)} photos black and white squares go on beyond {board.pattern} "
-            "inner "
-            "corners, so the board is larger than the pattern; count the corners where four squares meet, "
-            "or use "
-            "--pattern auto"
+            "inner corners, so the board is larger than the pattern; count the corners where four squares "
+            "meet, or use --pattern auto"
         )
 
 
@@ -114,16 +112,15 @@ def refuse_undetermined(data: Data, state: State, width: int, height: int) -> No
         raise Refusal(
             "undetermined",
             "the views fit no camera: the solve ran away; check that the photos are of one camera and one "
-            "flat "
-            "board, and add views with the board tilted by 20° to 45°",
+            "flat board, and add views with the board tilted by 20° to 45°",
         )
     tilt = float(coverage_of(data, state, width, height).tilts_deg.max())
     if tilt < _PARALLEL_DEG:
         raise Refusal(
             "undetermined",
             f"all views are nearly parallel to the sensor (tilted by at most {tilt:.1f}°), so focal length "
-            "and "
-            "distance cannot be told apart; add views with the board tilted by 20° to 45°, about both axes",
+            "and distance cannot be told apart; add views with the board tilted by 20° to 45°, about both "
+            "axes",
             measured=tilt,
             limit=_PARALLEL_DEG,
         )
@@ -136,9 +133,8 @@ def refuse_unknown(fit: Adjustment, precision: Precision) -> None:
         known = f"only to ±{100 * part:.0f} %" if precision.determined and np.isfinite(part) else "not at all"
         raise Refusal(
             "undetermined",
-            f"the views determine the focal length {known}; do not use them: add views with the board "
-            "tilted by "
-            "20° to 45° about both axes, and close enough to fill half the picture",
+            f"the views determine the focal length {known}; do not use them: add views with the board tilted "
+            "by 20° to 45° about both axes, and close enough to fill half the picture",
             measured=part if np.isfinite(part) else None,
             limit=_UNKNOWN_FOCAL,
         )

@@ -181,8 +181,8 @@ def _consistent(e: Evidence, limits: Limits) -> list[Finding]:
             Finding(
                 grade,
                 f"corners are {e.rms_px:.2f} px RMS off their places, {e.rms_px / diagonal * 1e4:.1f} "
-                "ten-thousandths "
-                "of the diagonal: blur, a bent sheet, or a lens that the model does not describe",
+                "ten-thousandths of the diagonal: blur, a bent sheet, or a lens that the model does not "
+                "describe",
                 "hold camera and board still, in good light",
             )
         )
