@@ -132,7 +132,7 @@ def coverage() -> None:
 
 
 def rendered(runs: int = 40, photos: int = 15) -> None:
-    """The same from rendered photos of 1280 x 960, detection included."""
+    """The same from rendered photos of 640 x 480, detection included."""
     print("coverage of the 95 % intervals, rendered photos, percent ± binomial error")
     for name in ("barrel", "phone"):
         found = [from_photos(name, photos, k) for k in range(runs)]
@@ -184,7 +184,7 @@ def synthetic(name: str, count: int, run: int) -> Run:
 def from_photos(name: str, count: int, run: int) -> Run:
     """A calibration of rendered photos; the corners' noise is what detection makes of the sensor's."""
     rng = np.random.default_rng([8, list(LENSES).index(name), run])
-    camera = lens(name, rng)
+    camera = lens(name, rng).scaled(640, 480)
     seen: list[BoardView] = []
     squares: list[float] = []
     while len(seen) < count:
