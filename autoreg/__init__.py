@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from autoreg.align import align as align
     from autoreg.alignment import Alignment as Alignment
     from autoreg.calibration.board import Board as Board
-    from autoreg.calibration.pipeline import Calibration as Calibration
     from autoreg.calibration.pipeline import calibrate as calibrate
+    from autoreg.calibration.result import Calibration as Calibration
     from autoreg.camera import Camera as Camera
     from autoreg.errors import AutoregError as AutoregError
     from autoreg.errors import InputError as InputError
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Alignment": "autoreg.alignment",
     "Board": "autoreg.calibration.board",
-    "Calibration": "autoreg.calibration.pipeline",
+    "Calibration": "autoreg.calibration.result",
     "calibrate": "autoreg.calibration.pipeline",
     "Camera": "autoreg.camera",
     "AutoregError": "autoreg.errors",

@@ -16,7 +16,7 @@ from autoreg.errors import InputError, Refusal
 if TYPE_CHECKING:
     from autoreg.calibration.inspection import Inspection
     from autoreg.calibration.photos import Progress
-    from autoreg.calibration.pipeline import Calibration
+    from autoreg.calibration.result import Calibration
 
 ExitCodes = Callable[[], AbstractContextManager[None]]
 

@@ -1,6 +1,7 @@
 """Measure calibration: detection time, coverage of the intervals, bad views, published sets.
 
-Run from the project's root: `python benchmarks/chessboards.py [detection] [coverage] [bad] [published]`.
+Run from the project's root: `python benchmarks/chessboards.py [NAME ...]`, the names being published, bad,
+detection, rendered and coverage.
 The published sets are looked for in ../shared/chessboards, or in the folder named by CHESSBOARDS.
 """
 
@@ -10,32 +11,40 @@ import os
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 from scipy.stats import chi2
 
-from autoreg.calibration.adjustment import data_of
 from autoreg.calibration.bad_views import sift
 from autoreg.calibration.board import Board, BoardView
 from autoreg.calibration.detection import find_board
 from autoreg.calibration.models import INTRINSICS, intrinsics_of
+from autoreg.calibration.observations import data_of
 from autoreg.calibration.photos import search_photos
-from autoreg.calibration.pipeline import Calibration, calibrate, calibrate_views
+from autoreg.calibration.pipeline import calibrate, calibrate_views
 from autoreg.calibration.starting import first_state
-from autoreg.calibration.synthetic import BoardScene, random_pose, render_board
+from autoreg.calibration.synthetic import BoardScene, random_pose, render_board, true_corners
 from autoreg.camera import Camera
 from autoreg.errors import AutoregError
 
 BOARD = Board(9, 6, 0.025, True)
+_K = (1000.0, 1003.0, 655.0, 468.0)
 # Lenses such as people calibrate: (fx, fy, cx, cy) for 1280 x 960, and OpenCV's coefficients.
 LENSES = {
-    "barrel": ((1000, 1003, 655, 468), (-0.2, 0.05, 0.0005, -0.0003, 0.0)),
-    "strong": ((820, 820, 630, 490), (-0.26, 0.08, -0.0004, 0.0002, -0.008)),
-    "phone": ((1150, 1149, 644, 471), (0.08, -0.2, 0.0002, 0.0004, 0.12)),
-    "long": ((2400, 2402, 633, 485), (-0.05, 0.0, 0.0, 0.0, 0.0)),
+    "none": (_K, (0.0, 0.0, 0.0, 0.0, 0.0)),
+    "barrel": (_K, (-0.2, 0.05, 0.0005, -0.0003, 0.0)),
+    "pincushion": (_K, (0.08, 0.02, 0.0, 0.0, 0.0)),
+    "weak tangential": (_K, (-0.2, 0.05, 0.0, 0.0, 0.0)),
+    "phone": ((1150.0, 1149.0, 644.0, 471.0), (0.08, -0.2, 0.0002, 0.0004, 0.12)),
+    "rational": ((700.0, 700.0, 630.0, 490.0), (0.3, 0.02, 0.0002, -0.0001, 0.0, 0.62, 0.1, 0.0)),
 }
+# A lens whose tangential terms are drawn anew in every run, from invisible to plain.
+_WEAK, _TANGENTIAL = "weak tangential", (10**-4.5, 10**-3.3)
+# Photos per set, and how many sets of so many.
+COUNTS = ((8, 90), (15, 90), (40, 30))
 PUBLISHED = {
     "opencv_left": (535.916, 535.916, 342.283, 235.571),
     "opencv_right": (534.803, 534.803, 334.557, 242.053),
@@ -44,8 +53,13 @@ PUBLISHED = {
 }
 
 
-def lens(name: str) -> Camera:
+def lens(name: str, rng: np.random.Generator | None = None) -> Camera:
+    """The camera of a lens; `rng` draws what differs from run to run."""
     k, dist = LENSES[name]
+    if name == _WEAK and rng is not None:
+        signs, sizes = rng.choice([-1, 1], 2), rng.uniform(*np.log(_TANGENTIAL), 2)
+        p1, p2 = signs * np.exp(sizes)
+        dist = (dist[0], dist[1], float(p1), float(p2), 0.0)
     return Camera(1280, 960, *k, dist)
 
 
@@ -88,41 +102,111 @@ def _plain(file: Path) -> bool:
     return bool(found)
 
 
-def coverage(runs: int = 100, views: int = 15, *, rendered: bool = True) -> None:
-    """How often the true K lies inside the stated 95 % intervals."""
+@dataclass(frozen=True)
+class Run:
+    """One calibration of synthetic views: the error of K, its covariance, and the noise put in and found."""
+
+    photos: int
+    model: str
+    error: np.ndarray
+    covariance: np.ndarray
+    noise_px: float
+    sigma_px: float
+
+    @property
+    def inside(self) -> np.ndarray:
+        """Which of fx, fy, cx, cy lie inside their 95 % interval."""
+        return np.abs(self.error) <= 1.96 * np.sqrt(self.covariance.diagonal())
+
+    @property
+    def score(self) -> float:
+        """Squared error of K by its covariance; a chi-square of 4 degrees of freedom if that is right."""
+        return float(self.error @ np.linalg.solve(self.covariance, self.error))
+
+
+def coverage() -> None:
+    """How often the true K lies inside the stated 95 % intervals, from corners with Gaussian noise."""
+    print("coverage of the 95 % intervals, corners with noise of 0.05 to 0.4 px, percent ± binomial error")
     for name in LENSES:
-        camera, inside, together, models = lens(name), [], [], []
-        for run in range(runs):
-            found = _synthetic(camera, run, views, rendered=rendered)
-            error = found.fit.state.intrinsics[:4] - intrinsics_of(camera)[:4]
-            covariance = found.precision.covariance[:4, :4]
-            inside.append(np.abs(error) <= 1.96 * np.sqrt(covariance.diagonal()))
-            together.append(error @ np.linalg.solve(covariance, error) <= chi2.ppf(0.95, 4))
-            models.append(found.model.name)
-        counts = ", ".join(f"{n} {100 * p:.0f}" for n, p in zip(INTRINSICS, np.mean(inside, 0), strict=False))
-        picked = ", ".join(f"{m}: {models.count(m)}" for m in dict.fromkeys(models))
-        kind = "rendered photos" if rendered else "corners with noise of 0.15 px"
+        runs = [synthetic(name, count, k) for count, times in COUNTS for k in range(times)]
+        tell(name, runs)
+
+
+def rendered(runs: int = 40, photos: int = 15) -> None:
+    """The same from rendered photos of 640 x 480, detection included."""
+    print("coverage of the 95 % intervals, rendered photos, percent ± binomial error")
+    for name in ("barrel", "phone"):
+        found = [from_photos(name, photos, k) for k in range(runs)]
+        tell(name, found)
+        stated = np.array([run.sigma_px / run.noise_px for run in found])
         print(
-            f"coverage, {name}, {runs} runs of {views} {kind}: {counts}; all four together "
-            f"{100 * np.mean(together):.0f}, of all intervals {100 * np.mean(inside):.1f} % ({picked})",
+            f"    corners' noise as the fit estimates it over what it is: {stated.mean():.3f} "
+            f"± {stated.std() / np.sqrt(runs):.3f}; it is {np.mean([r.noise_px for r in found]):.4f} px",
             flush=True,
         )
 
 
-def _synthetic(camera: Camera, run: int, views: int, *, rendered: bool) -> Calibration:
-    rng = np.random.default_rng([7, run])
+def tell(name: str, runs: list[Run]) -> None:
+    """Print how often the intervals of some runs held, and how wide they are against the errors."""
+    inside = np.array([run.inside for run in runs])
+    share, count = inside.mean(0), len(runs)
+    each = ", ".join(
+        f"{parameter} {100 * p:.1f} ± {100 * np.sqrt(p * (1 - p) / count):.1f}"
+        for parameter, p in zip(INTRINSICS, share, strict=False)
+    )
+    # Runs differ in noise and in number of photos, and with them in error; so each is taken by its own scale.
+    scale = np.array([run.noise_px / np.sqrt(run.photos) for run in runs])[:, None]
+    width = np.sqrt(np.mean(np.array([run.covariance.diagonal() for run in runs]) / scale**2, axis=0))
+    rmse = np.sqrt(np.mean((np.array([run.error for run in runs]) / scale) ** 2, axis=0))
+    together = np.mean([run.score <= chi2.ppf(0.95, 4) for run in runs])
+    models = [run.model for run in runs]
+    picked = ", ".join(f"{m} {models.count(m)}" for m in sorted(set(models), key=models.count, reverse=True))
+    print(
+        f"  {name}, {count} sets: {each}; of all {100 * share.mean():.1f}, the four together "
+        f"{100 * together:.1f}\n    stated sigma over actual error, both RMS: "
+        + " ".join(f"{ratio:.2f}" for ratio in width / rmse)
+        + f"; models: {picked}",
+        flush=True,
+    )
+
+
+def synthetic(name: str, count: int, run: int) -> Run:
+    """A calibration of exact corners with noise."""
+    rng = np.random.default_rng([7, list(LENSES).index(name), count, run])
+    camera = lens(name, rng)
+    noise_px = float(np.exp(rng.uniform(np.log(0.05), np.log(0.4))))
     seen: list[BoardView] = []
-    while len(seen) < views:
-        pose = random_pose(camera, BOARD, rng)
-        if rendered:
-            scene = BoardScene(camera, BOARD, pose, blur_px=0.9, noise_grey=6, seed=len(seen) + 1000 * run)
-            found = find_board(render_board(scene), BOARD)
-            if found.found:
-                seen.append(BoardView(str(len(seen)), found.ids, found.corners_px))
-        else:
-            px = camera.project(pose.apply(BOARD.points)) + rng.normal(0, 0.15, (BOARD.corners, 2))
-            seen.append(BoardView(str(len(seen)), np.arange(BOARD.corners), px))
-    return calibrate_views(seen, BOARD, camera.width, camera.height)
+    for k in range(count):
+        px = camera.project(random_pose(camera, BOARD, rng).apply(BOARD.points))
+        seen.append(BoardView(str(k), np.arange(BOARD.corners), px + rng.normal(0, noise_px, px.shape)))
+    return _run(camera, seen, noise_px)
+
+
+def from_photos(name: str, count: int, run: int) -> Run:
+    """A calibration of rendered photos; the corners' noise is what detection makes of the sensor's."""
+    rng = np.random.default_rng([8, list(LENSES).index(name), run])
+    camera = lens(name, rng).scaled(640, 480)
+    seen: list[BoardView] = []
+    squares: list[float] = []
+    while len(seen) < count:
+        scene = BoardScene(
+            camera, BOARD, random_pose(camera, BOARD, rng), blur_px=0.9, noise_grey=6,
+            seed=int(rng.integers(2**31)),
+        )  # fmt: skip
+        found = find_board(render_board(scene), BOARD)
+        if found.found:
+            off = found.corners_px - true_corners(scene)[found.ids]
+            squares.append(float(np.mean(off**2)))
+            seen.append(BoardView(str(len(seen)), found.ids, found.corners_px))
+    return _run(camera, seen, float(np.sqrt(np.mean(squares))))
+
+
+def _run(camera: Camera, seen: list[BoardView], noise_px: float) -> Run:
+    found = calibrate_views(seen, BOARD, camera.width, camera.height)
+    error = found.fit.state.intrinsics[:4] - intrinsics_of(camera)[:4]
+    return Run(
+        len(seen), found.model.name, error, found.precision.covariance[:4, :4], noise_px, found.fit.sigma_px
+    )
 
 
 def bad(runs: int = 100, views: int = 15) -> None:
@@ -193,9 +277,10 @@ def published() -> None:
 
 
 def main() -> None:
-    wanted = sys.argv[1:] or ["published", "bad", "detection", "coverage"]
-    for name in wanted:
-        {"detection": detection, "coverage": coverage, "bad": bad, "published": published}[name]()
+    known = (published, bad, detection, rendered, coverage)
+    measures = {measure.__name__: measure for measure in known}
+    for name in sys.argv[1:] or measures:
+        measures[name]()
 
 
 if __name__ == "__main__":

@@ -99,14 +99,26 @@ def test_views_parallel_to_the_sensor_give_no_number(noise_px):
 
 
 def test_the_same_view_again_and_again_gives_no_number():
-    seen = views(CAMERA, 1, noise_px=0.0) * 6
-    seen = [BoardView(str(k), view.ids, view.corners_px + 0.1 * np.sin(k + np.arange(108)).reshape(54, 2))
-            for k, view in enumerate(seen)]  # fmt: skip
-    try:
-        found = calibrate_views(seen, BOARD, W, H)
-    except Refusal:
-        return
-    assert found.verdict.grade == "do not use"
+    one = views(CAMERA, 1, noise_px=0.0)[0]
+    seen = [
+        BoardView(str(k), one.ids, one.corners_px + 0.1 * np.sin(k + np.arange(108)).reshape(54, 2))
+        for k in range(6)
+    ]
+    with pytest.raises(Refusal, match="the board in one place"):
+        calibrate_views(seen, BOARD, W, H)
+
+
+def test_the_frames_of_a_video_count_by_the_places_that_they_show():
+    rng = np.random.default_rng(0)
+    ids = np.arange(54)
+    frames = [
+        BoardView(f"{k}-{frame}", ids, exact(CAMERA, pose) + rng.normal(0, 0.1, (54, 2)))
+        for k, pose in enumerate(poses(CAMERA, 4))
+        for frame in range(5)
+    ]
+    found = calibrate_views(frames, BOARD, W, H)
+    assert found.data.standpoints == 4
+    assert any("20 views show the board in only 4 different places" in r for r in found.verdict.reasons)
 
 
 def test_a_good_set_is_good_and_a_poor_one_says_why():
@@ -139,17 +151,28 @@ def test_a_bent_sheet_is_a_reason_and_its_shape_can_be_estimated():
     assert abs(bent.camera.fx - CAMERA.fx) < 4 * bent.precision.std_devs[0]
 
 
-def test_half_the_views_of_another_camera_are_not_trusted():
-    other = CAMERA.scaled(W, H)
-    other = type(other)(W, H, 1100.0, 1100.0, 600.0, 500.0)
-    seen = views(CAMERA, 8) + [
-        BoardView(f"other{k}", np.arange(54), exact(other, pose)) for k, pose in enumerate(poses(other, 8, 3))
-    ]
-    try:
-        found = calibrate_views(seen, BOARD, W, H)
-    except Refusal:
-        return
-    assert found.verdict.grade == "do not use"
+def other_cameras_views(count, focal=1100.0):
+    other = type(CAMERA)(W, H, focal, focal, 620.0, 490.0)
+    return [BoardView(f"other{view.name}", view.ids, view.corners_px) for view in views(other, count, seed=3)]
+
+
+def test_half_the_views_of_another_camera_are_refused_with_both_groups():
+    seen = [*views(CAMERA, 8), *other_cameras_views(8)]
+    with pytest.raises(
+        InputError, match=r"(?s)two cameras.*8 with .* 1[01]00 px.*8 with .* 1[01]00 px"
+    ) as told:
+        calibrate_views(seen, BOARD, W, H)
+    for line in str(told.value).splitlines()[1:]:
+        assert ("1100 px" in line) == ("otherview" in line)
+        assert line.count("view") == 4
+
+
+def test_a_few_views_of_another_camera_are_left_out_and_named():
+    seen = [*views(CAMERA, 15), *other_cameras_views(5)]
+    found = calibrate_views(seen, BOARD, W, H)
+    assert {out.name for out in found.left_out} == {view.name for view in seen[15:]}
+    assert all("another camera" in out.reason for out in found.left_out)
+    assert abs(found.camera.fx - CAMERA.fx) < 4 * found.precision.std_devs[0]
 
 
 def test_turned_photos_are_brought_into_the_sensors_frame():
@@ -277,7 +300,7 @@ def test_the_report_is_one_file_with_its_pictures_inside(made, tmp_path):
 def test_names_in_the_report_are_escaped(made, tmp_path):
     from dataclasses import replace
 
-    from autoreg.calibration.pipeline import LeftOut
+    from autoreg.calibration.result import LeftOut
 
     odd = replace(made, left_out=(LeftOut("<script>.jpg", "no board"),))
     page = write_report(odd, tmp_path, "1.0")[0].read_text()

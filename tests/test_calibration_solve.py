@@ -6,16 +6,19 @@ import pytest
 from boards import BOARD, CAMERA, exact, poses, views
 from scipy.optimize import least_squares
 
-from autoreg.calibration.adjustment import Freedom, State, adjust, data_of, without_views
+from autoreg.calibration.adjustment import adjust, without_views
 from autoreg.calibration.bad_views import held_out_rms, sift
 from autoreg.calibration.board import Board, BoardView
 from autoreg.calibration.flatness import examine_flatness
-from autoreg.calibration.model_choice import chosen, try_models
+from autoreg.calibration.mixture import two_cameras
+from autoreg.calibration.model_choice import choice_covariance, chosen, folds, freedom_of, try_models
 from autoreg.calibration.models import GENERAL, LENS_MODELS, camera_of, intrinsics_of
+from autoreg.calibration.observations import data_of
 from autoreg.calibration.precision import precision_of
 from autoreg.calibration.projection_map import difference_map, halves_differ, uncertainty_map
 from autoreg.calibration.starting import first_state
 from autoreg.calibration.synthetic import bent_points
+from autoreg.calibration.unknowns import Freedom, State
 from autoreg.camera import Camera
 
 W, H = CAMERA.width, CAMERA.height
@@ -195,6 +198,142 @@ def test_the_chosen_lens_model_has_every_term_that_the_lens_has(dist, needed):
     # Models that lack a term foretell other views worse, by far.
     lacking = [trial.score_px for trial in trials if not needed <= set(trial.model.coefficients)]
     assert min(lacking) > 1.1 * found.score_px
+
+
+def test_k_is_as_far_off_as_stated_once_a_lens_model_is_chosen():
+    """Terms too weak to show must not be left out: their loss is in no covariance."""
+    camera = Camera(W, H, 1000.0, 1003.0, 655.0, 468.0, (-0.2, 0.05, 1e-4, -1e-4, 0.0))
+    scores = []
+    for seed in range(12):
+        data = data_of(views(camera, 10, seed=seed), BOARD)
+        trials = try_models(data, first_state(data, W, H), W, H)
+        picked = chosen(trials)
+        covariance = picked.precision.covariance + choice_covariance(
+            trials, picked, picked.precision.dispersion
+        )
+        error = (picked.fit.state.intrinsics - intrinsics_of(camera))[:4]
+        scores.append(error @ np.linalg.solve(covariance[:4, :4], error))
+    # Mean of chi-square with 4 degrees of freedom over 12 runs: 4, with a standard deviation of 0.82.
+    assert 2.0 < np.mean(scores) < 6.4
+
+
+def test_a_lens_that_no_polynomial_describes_gets_the_rational_model_with_sane_terms():
+    dist = (0.3, 0.02, 0.0002, -0.0001, 0.0, 0.62, 0.1, 0.0)
+    camera = Camera(W, H, 700.0, 700.0, 630.0, 490.0, dist)
+    data = data_of(views(camera, 15, seed=2), BOARD)
+    trials = try_models(data, first_state(data, W, H), W, H)
+    found = chosen(trials)
+    assert found.model.name == "rational"
+    assert found.fit.outcome == "converged"
+    # Numerator and denominator nearly cancel; what is known beforehand keeps them from running away.
+    assert np.abs(found.fit.state.intrinsics[4:]).max() < 1
+    error = (found.fit.state.intrinsics - intrinsics_of(camera))[:4]
+    assert np.abs(error / found.precision.std_devs[:4]).max() < 4
+
+
+def test_a_bent_sheet_is_not_taken_for_a_rational_lens():
+    seen = []
+    rng = np.random.default_rng(3)
+    for k, pose in enumerate(poses(CAMERA, 15)):
+        px = CAMERA.project(pose.apply(bent_points(BOARD, (0.04, 0.0, 0.03))))
+        seen.append(BoardView(str(k), np.arange(54), px + rng.normal(0, 0.1, px.shape)))
+    data = data_of(seen, BOARD)
+    assert chosen(try_models(data, first_state(data, W, H), W, H)).model.polynomial
+
+
+def test_a_richer_models_other_opinion_widens_the_intervals_by_its_evidence():
+    data = data_of(views(CAMERA, 10), BOARD)
+    trials = try_models(data, first_state(data, W, H), W, H)
+    by_name = {trial.model.name: trial for trial in trials}
+    simple, richest = by_name["k1"], by_name["k1 k2 p1 p2 k3"]
+    # Against a model that explains the corners far better, the whole difference is uncertainty.
+    change = (richest.fit.state.intrinsics - simple.fit.state.intrinsics)[:4]
+    widened = choice_covariance(trials, simple, 1.0)[:4, :4].diagonal()
+    np.testing.assert_allclose(np.sqrt(widened), np.abs(change), rtol=0.5)
+    # A simpler one says nothing that the covariance does not hold already.
+    assert np.sqrt(choice_covariance(trials[:-1], richest, 1.0)).max() == 0
+
+
+def test_views_that_repeat_one_another_are_known_and_held_out_together():
+    seen = views(CAMERA, 4)
+    again = BoardView("again.jpg", seen[1].ids, seen[1].corners_px + 0.5)
+    part = BoardView("part.jpg", seen[2].ids[:30], seen[2].corners_px[:30])
+    data = data_of([*seen, again, part], BOARD)
+    assert list(data.standpoint) == [0, 1, 2, 3, 1, 2]
+    assert data.standpoints == 4
+    held_out = folds(data.standpoint)
+    assert np.sum(held_out, axis=0).tolist() == [1] * 6
+    for group in held_out:
+        assert group[1] == group[4]
+        assert group[2] == group[5]
+
+
+def test_errors_that_repeated_views_share_count_once():
+    """Twelve pictures of each of five bent places are no more than five."""
+    rng = np.random.default_rng(0)
+    bulges = [rng.normal(0, 0.3, (2, 3)) for _ in range(5)]
+    u = BOARD.centred
+    shapes = np.stack([u[:, 0] ** 2, u[:, 0] * u[:, 1], u[:, 1] ** 2])
+    seen = [
+        BoardView(
+            f"{k}-{j}",
+            np.arange(54),
+            exact(CAMERA, pose) + (bulges[k] @ shapes).T + rng.normal(0, 0.1, (54, 2)),
+        )
+        for k, pose in enumerate(poses(CAMERA, 5))
+        for j in range(12)
+    ]
+    _, many = fitted(seen, LENS_MODELS[2])
+    _, few = fitted(seen[::12], LENS_MODELS[2])
+    ratio = precision_of(many).std_devs[:4] / precision_of(few).std_devs[:4]
+    assert (ratio > 0.4).all()  # independent views would make it 0.29
+
+
+def mixture_of(seen):
+    data = data_of(seen, BOARD)
+    start = first_state(data, W, H)
+    return two_cameras(data, start, freedom_of(GENERAL, start, W, H))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        Camera(W, H, 1050.0, 1053.0, 655.0, 468.0, CAMERA.dist),
+        Camera(W, H, 1000.0, 1003.0, 655.0, 468.0, (-0.1, 0.02, 0.0, 0.0, 0.0)),
+        Camera(W, H, 1300.0, 1300.0, 640.0, 480.0),
+    ],
+)
+@pytest.mark.parametrize("nonsense", [False, True])
+def test_two_cameras_are_told_apart_view_by_view(other, nonsense):
+    seen = [*views(CAMERA, 10), *views(other, 7, seed=5)]
+    if nonsense:
+        px = np.random.default_rng(0).uniform([0, 0], [W, H], (54, 2))
+        seen[3] = BoardView("nonsense.jpg", seen[3].ids, px)
+    found = mixture_of(seen)
+    assert found is not None
+    assert list(found.second) == [False] * 10 + [True] * 7
+    assert abs(found.cameras[1].state.intrinsics[0] / other.fx - 1) < 0.005
+
+
+@pytest.mark.parametrize("kind", ["clean", "bent", "focusing", "moving sensor"])
+def test_one_camera_is_never_taken_for_two(kind):
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        seen = []
+        for k, pose in enumerate(poses(CAMERA, 14, seed)):
+            places = bent_points(BOARD, (0.03, 0.01, -0.02)) if kind == "bent" else BOARD.points
+            focal = 1 + 0.01 * rng.standard_normal() * (kind == "focusing")
+            off = 8 * rng.standard_normal(2) * (kind == "moving sensor")
+            camera = replace(
+                CAMERA,
+                fx=CAMERA.fx * focal,
+                fy=CAMERA.fy * focal,
+                cx=CAMERA.cx + off[0],
+                cy=CAMERA.cy + off[1],
+            )
+            px = camera.project(pose.apply(places)) + rng.normal(0, 0.1, (54, 2))
+            seen.append(BoardView(str(k), np.arange(54), px))
+        assert mixture_of(seen) is None
 
 
 def test_a_flat_sheet_is_flat_and_a_bent_one_is_not():

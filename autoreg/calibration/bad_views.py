@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.calibration.adjustment import Adjustment, Data, Freedom, State, adjust
+from autoreg.calibration.adjustment import Adjustment, adjust
 from autoreg.calibration.models import GENERAL
+from autoreg.calibration.observations import Data
+from autoreg.calibration.unknowns import Freedom, State
 
 # A view is bad if it is foretold this many times worse than the median view, and if that is also this many
 # standard deviations of the spread among the views, on a logarithmic scale.
@@ -51,7 +53,7 @@ def held_out_rms(fit: Adjustment) -> Float[np.ndarray, " v"]:
     To first order: without view v, whose share of the normal equations is S_v and of the gradient g_v, the
     common unknowns move by d = (S - S_v)^-1 g_v, and its sum of squares becomes r² + 2 g_v d + d' S_v d.
     """
-    total = fit.information.sum(0)
+    total = fit.total
     squares = (fit.residuals_px**2).sum((1, 2))
     unit = 1 / np.sqrt(np.maximum(total.diagonal(), 1e-300))
     scaled = unit[:, None] * unit

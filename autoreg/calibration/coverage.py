@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.calibration.adjustment import Data, State
+from autoreg.calibration.observations import Data
+from autoreg.calibration.unknowns import State
 
 _CELLS = 16
 _ZONES = ("top left", "top", "top right", "left", "middle", "right", "bottom left", "bottom", "bottom right")

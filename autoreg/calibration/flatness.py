@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.calibration.adjustment import Adjustment, Data, Freedom, adjust
+from autoreg.calibration.adjustment import Adjustment, adjust
 from autoreg.calibration.board import Board
+from autoreg.calibration.observations import Data
 
 # A view looked at so steeply that heights hardly show says nothing about them.
 _LEAST_SIGHT = 0.15
@@ -61,8 +62,7 @@ def examine_flatness(data: Data, fit: Adjustment, board: Board) -> Flatness:
     heights = np.where(present, along / np.maximum(height_px, 1e-9), np.nan)[tells]
     bent_fit = None
     if len(data) >= _LEAST_SHAPE_VIEWS and tells.sum() >= _LEAST_VIEWS:
-        intrinsics = fit.free[: len(fit.state.intrinsics)]
-        bent_fit = adjust(data, fit.state, Freedom(intrinsics, shape=True))
+        bent_fit = adjust(data, fit.state, replace(fit.freedom, shape=True))
     return Flatness(
         ratio=float(energy_along.sum() / max(energy_across.sum(), 1e-30)),
         sigmas=float(logs.mean() / error),

@@ -14,7 +14,7 @@ from autoreg.errors import InputError
 
 # The largest group is calibrated if it holds at least this part of the boards found; else nobody can say
 # which camera is meant.
-_LEAST_SHARE = 0.75
+LEAST_SHARE = 0.75
 _FOCAL_TOLERANCE = 0.02
 
 
@@ -96,7 +96,7 @@ def one_camera(photos: Sequence[BoardPhoto]) -> tuple[Group, tuple[tuple[str, st
     groups.sort(key=lambda group: -len(group[1]))
     total = sum(len(members) for _, members in groups)
     key, members = groups[0]
-    if len(members) < _LEAST_SHARE * total:
+    if len(members) < LEAST_SHARE * total:
         raise _mixture(groups, photos)
     left_out = tuple((photos[k].name, _why_not(key, other)) for other, others in groups[1:] for k in others)
     return _gathered(key, members, photos), left_out
@@ -146,15 +146,15 @@ def _why_not(main: _Key, other: _Key) -> str:
 
 def _mixture(groups: Sequence[tuple[_Key, list[int]]], photos: Sequence[BoardPhoto]) -> InputError:
     lines = [
-        f"  {len(members)} of {key.words}: {_few([photos[k].name for k in members])}"
+        f"  {len(members)} of {key.words}: {few([photos[k].name for k in members])}"
         for key, members in groups
     ]
     return InputError(
         "the photos cannot all be of one camera at one setting; calibrate each group by itself, as the "
-        "camera "
-        "took them (unturned, uncropped, one zoom):\n" + "\n".join(lines)
+        "camera took them (unturned, uncropped, one zoom):\n" + "\n".join(lines)
     )
 
 
-def _few(names: Sequence[str]) -> str:
+def few(names: Sequence[str]) -> str:
+    """Names for a message: all of a few, or the first and the last of many."""
     return ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} ... {names[-1]}"

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from autoreg.calibration.models import INTRINSICS
-from autoreg.calibration.pipeline import Calibration
 from autoreg.calibration.plots import plots_of
+from autoreg.calibration.result import Calibration
 from autoreg.outputs import write_whole
 
 REPORT_NAME = "calibration.html"
@@ -34,8 +34,7 @@ _CAPTIONS = {
     "halves": "Two halves of the views calibrated apart: how far their projections differ, over the picture. "
     "Expect about twice the map before this one.",
     "residuals": "Measured minus projected corners. Neighbours that point the same way share an error: a "
-    "bent "
-    "sheet, or a lens that the model does not describe.",
+    "bent sheet, or a lens that the model does not describe.",
     "views": "How well each view fits; those left out are judged by what the others foretell.",
     "tilts": "How the board leaned. It should lean by 20° to 45°, in all directions.",
     "models": "Lens models, judged by views they were not fitted to. Green: the one chosen.",

@@ -123,8 +123,7 @@ def _shape(claims: Claims) -> Generator[Oddity]:
         yield Oddity(
             weight,
             f"fx and fy differ by {100 * difference:.1f} %: pixels are square, so the squares of the board "
-            "were "
-            "not, or its views do not determine the camera",
+            "were not, or its views do not determine the camera",
         )
 
 

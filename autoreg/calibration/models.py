@@ -33,9 +33,14 @@ class LensModel:
         return np.where(self.free, intrinsics, 0.0)
 
     @property
+    def polynomial(self) -> bool:
+        """Whether the radial distortion is a polynomial, not a ratio of two."""
+        return "k4" not in self.coefficients
+
+    @property
     def opencv_length(self) -> int:
         """How many coefficients OpenCV's vector needs for it."""
-        return 8 if "k4" in self.coefficients else 5
+        return 5 if self.polynomial else 8
 
 
 NONE = LensModel("none", ())

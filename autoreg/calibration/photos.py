@@ -59,6 +59,22 @@ class BoardPhoto:
         return px
 
 
+def sources_of(photos: str | Path | Iterable[Source]) -> list[Source]:
+    """The photos that a pattern, a folder, or files and pictures stand for.
+
+    Raises:
+        InputError: there are none.
+    """
+    if isinstance(photos, (str, Path)):
+        return list(photo_files([photos]))
+    sources: list[Source] = []
+    for photo in photos:
+        sources += [photo] if isinstance(photo, np.ndarray) else photo_files([photo])
+    if not sources:
+        raise InputError("no photos were given; give photos of the board, such as 'boards/*.jpg'")
+    return sources
+
+
 def photo_files(sources: Iterable[str | Path]) -> tuple[Path, ...]:
     """The picture files that names, folders and glob patterns stand for, each once, in natural order.
 

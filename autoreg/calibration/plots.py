@@ -9,8 +9,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from autoreg.calibration.pipeline import Calibration
 from autoreg.calibration.projection_map import PictureMap
+from autoreg.calibration.result import Calibration
 
 # Few colours, told apart by everyone (Okabe and Ito).
 _BLUE, _ORANGE, _GREEN, _GREY = "#0072b2", "#d55e00", "#009e73", "#888888"

@@ -46,7 +46,7 @@ def precision_of(fit: Adjustment) -> Precision:
     D² = sum g' S^-1 g / (s² (p - sum tr (S^-1 S_v)²)), is that of Birge's ratio and of the sandwich
     covariance, pooled over the unknowns.
     """
-    total = fit.information.sum(0)
+    total = fit.total
     size = total.diagonal()
     unit = 1 / np.sqrt(np.where(size > 0, size, 1.0))
     values, vectors = np.linalg.eigh(total * unit[:, None] * unit)
@@ -61,12 +61,16 @@ def precision_of(fit: Adjustment) -> Precision:
 
 
 def _dispersion(fit: Adjustment, inverse: Float[np.ndarray, "f f"]) -> float:
-    shares = inverse @ fit.information
+    # Views that repeat one another share their errors and count as one.
+    member = np.equal.outer(np.unique(fit.standpoint), fit.standpoint).astype(float)
+    information = np.einsum("gv,vij->gij", member, fit.information)
+    gradients = member @ fit.gradients
+    shares = inverse @ information
     traces = np.einsum("vij,vji->v", shares, shares)
-    expected = len(inverse) - float(traces.sum())
+    expected = float(np.einsum("vii->", shares)) - float(traces.sum())
     if expected <= 0 or fit.sigma_px <= 0:
         return 1.0
-    found = float(np.einsum("vi,ij,vj->", fit.gradients, inverse, fit.gradients)) / fit.sigma_px**2
+    found = float(np.einsum("vi,ij,vj->", gradients, inverse, gradients)) / fit.sigma_px**2
     # Each view adds a sum of squares with weights between 0 and 1; their squares give its variance.
     spread = np.sqrt(2 * float((traces - traces**2 / len(inverse)).clip(min=0).sum())) / expected
     squared = found / expected

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.calibration.adjustment import Adjustment, Data, Freedom, adjust
+from autoreg.calibration.adjustment import Adjustment, adjust
 from autoreg.calibration.models import COUNT, Intrinsics, camera_of
+from autoreg.calibration.observations import Data
 from autoreg.camera import Camera
 
 _NODES = 33
@@ -127,18 +128,22 @@ def halves_differ(
     width: int,
     height: int,
 ) -> HalvesDiffer | None:
-    """How the projections of two halves of the views, calibrated apart, differ; None for too few views."""
-    count = len(data)
+    """How the projections of two halves of the views, calibrated apart, differ; None for too few views.
+
+    Views that repeat one another are in the same half.
+    """
+    standpoints = np.unique(data.standpoint)
+    count = len(standpoints)
     if count < 2 * _LEAST_HALF:
         return None
-    freedom = Freedom(fit.free[:COUNT])
+    freedom = replace(fit.freedom, shape=False)
     rng = np.random.default_rng(count)
     squares: list[np.ndarray] = []
     for split in range(_SPLITS):
-        order = np.arange(count) if split == 0 else rng.permutation(count)
+        order = standpoints if split == 0 else rng.permutation(standpoints)
         one, other = (
             adjust(data.part(half), fit.state.part(half), freedom).state.intrinsics
-            for half in (order[::2], order[1::2])
+            for half in (np.flatnonzero(np.isin(data.standpoint, order[k::2])) for k in (0, 1))
         )
         squares.append(difference_map(one, other, anchors_px, width, height).px ** 2)
     u, v = nodes(width, height)

@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from autoreg.calibration.models import INTRINSICS
-from autoreg.calibration.pipeline import Calibration
+from autoreg.calibration.result import Calibration
 from autoreg.camera_files import write_camera_json
 from autoreg.outputs import write_whole
 

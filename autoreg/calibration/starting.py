@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.calibration.adjustment import Data, Freedom, State, adjust
+from autoreg.calibration.adjustment import adjust
 from autoreg.calibration.models import COUNT, GENERAL, INTRINSICS, NONE
+from autoreg.calibration.observations import Data
+from autoreg.calibration.unknowns import Freedom, State
 
 # Focal lengths to try, in widths of the picture's longer side: from a very wide lens to a long one.
 _FOCALS = tuple(np.geomspace(0.35, 6.0, 15))

@@ -57,9 +57,10 @@ class Evidence:
     halves: HalvesDiffer | None
     rms_px: float
     views: int
+    standpoints: int
     bad: int
     bent_focal_change: float | None
-    folds: bool
+    rayless: float
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,7 @@ class Limits:
     off_centre: tuple[float, float] = (0.06, 0.2)
     area: tuple[float, float] = (0.5, 0.1)
     views: tuple[int, int] = (8, 3)
+    rayless: tuple[float, float] = (0.0, 0.05)
     excess: float = 2.0
     lean: float = 0.06
     tilt_deg: float = 15.0
@@ -95,7 +97,7 @@ def verdict_on(evidence: Evidence, limits: Limits | None = None) -> Verdict:
         *_precise(evidence, limits),
         *_consistent(evidence, limits),
         *_covered(evidence, limits),
-        *_plausible(evidence.camera, evidence.precision, evidence.folds, limits),
+        *_plausible(evidence, limits),
     ]
     found.sort(key=lambda finding: -GRADES.index(finding.grade))
     return Verdict(found[0].grade if found else "good", tuple(found))
@@ -179,8 +181,8 @@ def _consistent(e: Evidence, limits: Limits) -> list[Finding]:
             Finding(
                 grade,
                 f"corners are {e.rms_px:.2f} px RMS off their places, {e.rms_px / diagonal * 1e4:.1f} "
-                "ten-thousandths "
-                "of the diagonal: blur, a bent sheet, or a lens that the model does not describe",
+                "ten-thousandths of the diagonal: blur, a bent sheet, or a lens that the model does not "
+                "describe",
                 "hold camera and board still, in good light",
             )
         )
@@ -205,9 +207,12 @@ def _consistent(e: Evidence, limits: Limits) -> list[Finding]:
 def _covered(e: Evidence, limits: Limits) -> list[Finding]:
     found: list[Finding] = []
     coverage = e.coverage
-    if e.views < limits.views[0]:
-        grade: Grade = "usable" if e.views >= limits.views[1] else "do not use"
-        found.append(Finding(grade, f"there are only {e.views} views", "take 15 to 30 photos"))
+    if e.standpoints < limits.views[0]:
+        grade: Grade = "usable" if e.standpoints >= limits.views[1] else "do not use"
+        few = f"there are only {e.standpoints} views"
+        if e.standpoints < e.views:
+            few = f"the {e.views} views show the board in only {e.standpoints} different places"
+        found.append(Finding(grade, few, "take 15 to 30 photos, the board each time elsewhere"))
     bare = coverage.bare_zones
     where = f"add views with the board at the {', '.join(bare)}" if bare else None
     if coverage.area < limits.area[0]:
@@ -242,9 +247,9 @@ def _covered(e: Evidence, limits: Limits) -> list[Finding]:
     return found
 
 
-def _plausible(camera: Camera, precision: Precision, folds: bool, limits: Limits) -> list[Finding]:
+def _plausible(e: Evidence, limits: Limits) -> list[Finding]:
     found: list[Finding] = []
-    sd = precision.std_devs
+    camera, sd = e.camera, e.precision.std_devs
     aspect = camera.fx / camera.fy - 1
     sure = abs(aspect) > 3 * float(np.hypot(sd[0], sd[1])) / camera.fx
     if sure and (grade := _graded(abs(aspect), limits.aspect)):
@@ -267,11 +272,11 @@ def _plausible(camera: Camera, precision: Precision, folds: bool, limits: Limits
                 "check that no photo was cropped or turned by software",
             )
         )
-    if folds:
+    if grade := _graded(e.rayless, limits.rayless):
         found.append(
             Finding(
-                "do not use",
-                "the distortion folds back within the picture",
+                grade,
+                f"the distortion folds back within the picture, of which {100 * e.rayless:.1f} % has no ray",
                 "add views with the board in the corners of the picture",
             )
         )
