@@ -57,7 +57,8 @@ def lens(name: str, rng: np.random.Generator | None = None) -> Camera:
     """The camera of a lens; `rng` draws what differs from run to run."""
     k, dist = LENSES[name]
     if name == _WEAK and rng is not None:
-        signs, sizes = rng.choice([-1, 1], 2), rng.uniform(*np.log(_TANGENTIAL), 2)
+        low, high = (float(np.log(size)) for size in _TANGENTIAL)
+        signs, sizes = rng.choice([-1, 1], 2), rng.uniform(low, high, 2)
         p1, p2 = signs * np.exp(sizes)
         dist = (dist[0], dist[1], float(p1), float(p2), 0.0)
     return Camera(1280, 960, *k, dist)
