@@ -20,6 +20,7 @@ from autoreg.conclude import (
 )
 from autoreg.corrections import recentred, with_measured_shift
 from autoreg.errors import Refusal
+from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
@@ -36,7 +37,7 @@ from autoreg.paving import (
     promising_plane,
 )
 from autoreg.presence import field_polygon, presence_of
-from autoreg.refine import Fit, Free, refine_until_still
+from autoreg.refine import Fit, refine_until_still
 from autoreg.refusals import ambiguous, camera_contradicted, maybe_wall, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows, lay_rows
 from autoreg.segments import Segments, detect_segments

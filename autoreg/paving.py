@@ -14,6 +14,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from autoreg.bond import BondHypothesis, bond_hypotheses
 from autoreg.camera import Camera
+from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned
 from autoreg.image import pyramid
@@ -21,7 +22,7 @@ from autoreg.lattice_choice import Paving, hopeful, settle_bond
 from autoreg.periods import Comb, best_combs
 from autoreg.presence import field_polygon, presence_of
 from autoreg.rectify import Gradient, Window, near_reach, picture_gradient, rectify
-from autoreg.refine import Fit, Free, refine
+from autoreg.refine import Fit, refine
 from autoreg.segments import Segments
 from autoreg.sharpen import sharpen
 from autoreg.stations import Grid

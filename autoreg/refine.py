@@ -8,17 +8,17 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from autoreg import residuals as terms
 from autoreg.camera import Camera
 from autoreg.edges import Offsets, fit_offsets
-from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
+from autoreg.freedom import Free, moved_camera, moved_pose, stretched
+from autoreg.geometry import Rigid
 from autoreg.joint_looks import Strip, estimate_strip, first_look, joint_polarity, search_joints, width_px_of
 from autoreg.profiles import Profiles, sample_profiles
-from autoreg.residuals import PARAMETERS, JointData
-from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Prior, Solution, solve_joints
+from autoreg.residuals import JointData
+from autoreg.scatter import beside_rim, scatter_model
+from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Solution, solve_joints
 from autoreg.stations import (
     ALONG_X,
-    ALONG_Y,
     Grid,
     Stations,
     place_stations,
@@ -35,52 +35,6 @@ MOST_SIDES = 200.0
 FAINT = 0.1
 # Grey levels that even the deepest shadow has.
 DARK = 8.0
-# An outermost line that lies off by so many times what the inner ones do is the rim of something else, if
-# there are at least so many lines and it is off by more than this share of a side and so many pixels; they
-# are looked for among this part of the lines at either end.
-RIM_SIGMAS, RIM_LINES, RIM_SHARE, RIM_PX, RIM_PART = 6.0, 5, 0.015, 0.5, 4
-# Joints that tell the scatter.
-SCATTER_SAMPLE = 500
-
-
-@dataclass(frozen=True)
-class Free:
-    """What the solve may change besides the pose, and how far a prior lets it go.
-
-    `step_sigma` holds every single solve near its start: so many radians, and heights of the camera. Joints
-    of one direction leave motions free that must not wander.
-    """
-
-    ratio: bool = False
-    focal: bool = False
-    centre: bool = False
-    radial: bool = False
-    nominal: Camera | None = None
-    focal_sigma: float = np.inf
-    centre_sigma_px: float = np.inf
-    radial_sigma: float = np.inf
-    step_sigma: float = np.inf
-
-    @property
-    def mask(self) -> Float[np.ndarray, " p"]:
-        """Ones for the free parameters."""
-        mask = np.zeros(PARAMETERS)
-        mask[:6] = 1.0
-        mask[terms.RATIO], mask[terms.FOCAL] = self.ratio, self.focal
-        mask[terms.CENTRE], mask[terms.RADIAL] = self.centre, self.radial
-        return mask
-
-    def prior(self, camera: Camera) -> Prior:
-        """What is known of a solve's parameters when it starts from `camera`: the nominal one is meant."""
-        mean, sigma = np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)
-        sigma[terms.FOCAL], sigma[terms.CENTRE] = self.focal_sigma, self.centre_sigma_px
-        sigma[terms.RADIAL] = self.radial_sigma
-        sigma[terms.ROTATION] = sigma[terms.TRANSLATION] = self.step_sigma
-        if self.nominal is not None:
-            mean[terms.FOCAL] = np.log(self.nominal.fx / camera.fx)
-            mean[terms.CENTRE] = self.nominal.cx - camera.cx, self.nominal.cy - camera.cy
-            mean[terms.RADIAL] = self.nominal.dist[0] - camera.dist[0]
-        return Prior(mean, sigma)
 
 
 @dataclass(frozen=True)
@@ -261,43 +215,6 @@ def _round(
     return fit
 
 
-def beside_rim(
-    off_px: Float[np.ndarray, " n"],
-    side_px: Float[np.ndarray, " n"],
-    stations: Stations,
-    usable: Bool[np.ndarray, " n"],
-) -> Bool[np.ndarray, " n"]:
-    """Stations of outermost lines that lie off as none of the others: a kerb, or the rim of a board.
-
-    Args:
-        off_px: distances from the projected joints.
-        side_px: length of a slab side across the joint, as seen there.
-        stations: where they were measured.
-        usable: those that count.
-    """
-    off, beside = off_px / side_px, np.zeros(len(off_px), dtype=bool)
-    for family in (ALONG_X, ALONG_Y):
-        members = np.flatnonzero(usable & (stations.family == family))
-        members = members[np.lexsort((off[members], stations.line[members]))]
-        lines, start, count = np.unique(stations.line[members], return_index=True, return_counts=True)
-        if len(lines) < RIM_LINES:
-            continue
-        median = members[start + (count - 1) // 2]
-        place = off[median]
-        most = len(lines) // RIM_PART
-        inner = place[most : len(lines) - most]
-        away = np.abs(place - np.median(inner))
-        limit = RIM_SIGMAS * 1.48 * float(np.median(np.abs(inner - np.median(inner))))
-        gross = np.flatnonzero((away > max(limit, RIM_SHARE)) & (np.abs(off_px[median]) > RIM_PX))
-        # What lies beyond such a line is no paving of this lattice either.
-        first, last = gross[gross < most], gross[gross >= len(lines) - most]
-        low = first.max() + 1 if len(first) else 0
-        high = last.min() if len(last) else len(lines)
-        line = stations.line[members]
-        beside[members] = (line < lines[low]) | (line > lines[high - 1])
-    return beside
-
-
 def _plausible(pose: Rigid, grid: Grid) -> bool:
     """Whether a lattice may be one of slabs: a solve with nothing to hold it can run away."""
     height = float(pose.origin_in_a[2])
@@ -372,60 +289,3 @@ def joint_data(
         intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.dist]),
         scale=np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, camera.fx, camera.fx, 1.0]),
     )
-
-
-def scatter_model(
-    distances: np.ndarray,
-    sigma_fit: np.ndarray,
-    px_per_unit: np.ndarray,
-    side: np.ndarray,
-    usable: np.ndarray,
-) -> Float[np.ndarray, " n"]:
-    """Expected scatter of each station: its own measurement, and the slabs' irregularity on the ground.
-
-    The two shares are found by maximum likelihood (Cauchy) over a grid. Stations of one side share their
-    slab's displacement, so the irregular part counts once per side.
-    """
-    rows = np.flatnonzero(usable)
-    rows = rows[:: max(1, len(rows) // SCATTER_SAMPLE)]
-    r, s, u = np.abs(distances[rows]), sigma_fit[rows], px_per_unit[rows]
-    s = np.maximum(s, 0.3 * np.median(s))
-    base = float(np.median(r)) * 1.48 + 1e-6
-    shares = np.r_[0.0, np.geomspace(0.05, 2.0, 10)] * base
-    share_s, share_u = (
-        np.stack(np.meshgrid(shares / np.median(s), shares / np.median(u)), -1).reshape(-1, 2).T
-    )
-    # Half the spread is a Cauchy's scale for normal residuals.
-    gamma2 = 0.45 * (share_s[:, None] ** 2 * s**2 + share_u[:, None] ** 2 * u**2 + 1e-6)
-    best = int((0.5 * np.log(gamma2) + np.log1p(r * r / gamma2)).sum(1).argmin())
-    share_s, share_u = share_s[best], share_u[best]
-    per_side = np.bincount(side[usable], minlength=side.max() + 1)[side]
-    smooth = np.maximum(sigma_fit, 0.3 * np.median(s))
-    return np.sqrt((share_s * smooth) ** 2 + np.maximum(per_side, 1) * (share_u * px_per_unit) ** 2 + 1e-6)
-
-
-def moved_pose(pose: Rigid, solution: Solution) -> Rigid:
-    """The pose after a solve's small motion."""
-    p = solution.parameters
-    turn = rotation_from_vector(p[terms.ROTATION])
-    return Rigid(nearest_rotation(turn @ pose.R), turn @ pose.t + p[terms.TRANSLATION])
-
-
-def moved_camera(camera: Camera, solution: Solution) -> Camera:
-    """The camera after a solve."""
-    p = solution.parameters
-    if not p[terms.FOCAL :].any():
-        return camera
-    focal = float(np.exp(p[terms.FOCAL]))
-    dx, dy = (float(v) for v in p[terms.CENTRE])
-    dist = (camera.dist[0] + float(p[terms.RADIAL]), *camera.dist[1:])
-    return replace(
-        camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + dx, cy=camera.cy + dy, dist=dist
-    )
-
-
-def stretched(grid: Grid, solution: Solution) -> Grid:
-    """The lattice after a solve."""
-    half = 0.5 * float(solution.parameters[terms.RATIO])
-    a = None if grid.spacing_x is None else grid.spacing_x * float(np.exp(half))
-    return replace(grid, spacing_x=a, spacing_y=grid.spacing_y * float(np.exp(-half)))

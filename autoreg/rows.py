@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import poisson
 
+from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned, with_origin
 from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving, line_evidence
 from autoreg.paving import PlaneCombs, fit_outwards, refine_in_field
 from autoreg.presence import Presence, best_pattern, field_polygon, presence_of
-from autoreg.refine import Fit, Free
+from autoreg.refine import Fit
 from autoreg.segments import Segments
 from autoreg.stations import ALONG_X, Grid
 

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg import residuals as terms
+from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
-from autoreg.refine import Fit, Free, moved_camera, moved_pose, refine, refine_until_still, stretched
+from autoreg.refine import Fit, refine, refine_until_still
 from autoreg.slab_model import BOW, Estimate, Scatter, estimate_motion
 
 # What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of

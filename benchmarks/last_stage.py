@@ -10,8 +10,9 @@ from jaxtyping import Float
 from autoreg.align import FIRST_SEARCH, REACH
 from autoreg.camera import Camera
 from autoreg.corrections import recentred
+from autoreg.freedom import Free
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
-from autoreg.refine import Fit, Free, refine_until_still
+from autoreg.refine import Fit, refine_until_still
 from autoreg.stations import Grid, project_ground
 from autoreg.synthetic import SyntheticScene
 from autoreg.uncertainty import settle

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from paved import GRAVEL, gray_of, misses, nudged
 
+from autoreg.freedom import Free
 from autoreg.joint_looks import Strip
 from autoreg.lattice_choice import rival, settle_bond, with_pattern
 from autoreg.paving import comb_planes, lay_lattice, looks_at
 from autoreg.presence import Pattern
-from autoreg.refine import Fit, Free
+from autoreg.refine import Fit
 from autoreg.segments import detect_segments
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, slab_sides
 from autoreg.synthetic import SyntheticPhoto

@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 from paved import CAMERA, CHECKER, HALF_BOND, STACK, fit_of, gray_of, misses, nudged, true_grid
 
-from autoreg import residuals as terms
+from autoreg.freedom import Free
 from autoreg.geometry import angle_between_rotations
-from autoreg.refine import (
-    Fit,
-    Free,
-    beside_rim,
-    moved_camera,
-    moved_pose,
-    refine,
-    refine_until_still,
-    scatter_model,
-    stretched,
-)
+from autoreg.refine import Fit, refine, refine_until_still
 from autoreg.residuals import PARAMETERS
 from autoreg.solver import Solution
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
@@ -152,70 +142,10 @@ def test_a_fit_that_is_still_does_not_move_when_repeated(stack_photo: SyntheticP
     assert np.abs(a - b).max() < 0.01
 
 
-@pytest.mark.parametrize("end", ["first", "last"])
-def test_an_outermost_line_that_lies_off_is_a_rim_and_an_inner_one_is_not(stack_fit: Fit, end: str):
-    stations, usable = stack_fit.stations, stack_fit.usable
-    off = np.random.default_rng(0).normal(0.0, 0.002, len(stations))
-    lines = np.unique(stations.line[usable & (stations.family == ALONG_X)])
-    rim = lines[0] if end == "first" else lines[-1]
-    for line, taken in ((rim, True), (lines[len(lines) // 2], False)):
-        moved = usable & (stations.family == ALONG_X) & (stations.line == line)
-        off_px = 30.0 * np.where(moved, off + 0.04, off)
-        beside = beside_rim(off_px, np.full(len(off), 30.0), stations, usable)
-        assert (beside == (moved & taken)).all()
-
-
-def test_uneven_lines_have_no_rim(stack_fit: Fit):
-    stations, usable = stack_fit.stations, stack_fit.usable
-    of_line = np.random.default_rng(1).normal(0.0, 0.01, 1000)
-    off = of_line[stations.line + 500 * stations.family]
-    assert beside_rim(30.0 * off, np.full(len(off), 30.0), stations, usable).mean() < 0.1
-
-
 def test_unusable_joints_weigh_nothing_and_others_at_most_one(stack_fit: Fit):
     assert not stack_fit.weight[~stack_fit.usable].any()
     assert (stack_fit.weight <= 1.0).all()
     assert stack_fit.weight[stack_fit.usable].mean() > 0.5
-
-
-def test_a_solve_that_changes_nothing_changes_nothing(stack_fit: Fit):
-    assert moved_camera(CAMERA, NOTHING) == CAMERA
-    pose = moved_pose(stack_fit.cam_from_ground, NOTHING)
-    assert pytest.approx(stack_fit.cam_from_ground.R, abs=1e-12) == pose.R
-    assert pose.t == pytest.approx(stack_fit.cam_from_ground.t)
-    assert stretched(Grid(0.6, 0.4), NOTHING) == Grid(0.6, 0.4)
-
-
-def test_a_stretched_lattice_keeps_its_area():
-    parameters = np.zeros(PARAMETERS)
-    parameters[terms.RATIO] = 0.1
-    grid = stretched(Grid(0.6, 0.4, 0.5), replace(NOTHING, parameters=parameters))
-    assert grid.spacing_x is not None
-    assert grid.spacing_x * grid.spacing_y == pytest.approx(0.24)
-    assert grid.spacing_x / grid.spacing_y == pytest.approx(1.5 * np.exp(0.1))
-    assert grid.shift == 0.5
-
-
-def test_priors_mean_the_nominal_camera_wherever_the_solve_starts():
-    nominal = replace(CAMERA, dist=(-0.1,) + (0.0,) * 7)
-    free = Free(focal=True, centre=True, radial=True, nominal=nominal, focal_sigma=0.05)
-    start = replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy, cx=CAMERA.cx + 7.0)
-    mean = free.prior(start).mean
-    assert start.fx * np.exp(mean[terms.FOCAL]) == pytest.approx(CAMERA.fx)
-    assert start.cx + mean[terms.CENTRE][0] == pytest.approx(CAMERA.cx)
-    assert start.dist[0] + mean[terms.RADIAL] == pytest.approx(-0.1)
-    assert free.prior(start).sigma[terms.FOCAL] == 0.05
-
-
-@pytest.mark.parametrize("share", [0.0, 1.0], ids=["measured badly", "laid badly"])
-def test_the_scatter_model_tells_what_was_measured_badly_from_what_was_laid_badly(share: float):
-    rng = np.random.default_rng(6)
-    n = 1500
-    measured, px_per_unit = rng.uniform(0.02, 0.2, n), rng.uniform(50.0, 500.0, n)
-    truth = share * 0.002 * px_per_unit + (1 - share) * measured
-    model = scatter_model(rng.normal(0, truth), measured, px_per_unit, np.arange(n), np.ones(n, bool))
-    assert np.median(model / truth) == pytest.approx(1.0, abs=0.3)
-    assert np.corrcoef(model, truth)[0, 1] > 0.8
 
 
 def test_both_families_carry_the_fit(half_fit: Fit):

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from autoreg.camera import Camera
 from autoreg.conclude import Frame
+from autoreg.freedom import Free
 from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
 from autoreg.image import as_gray
-from autoreg.refine import Fit, Free, refine_until_still
+from autoreg.refine import Fit, refine_until_still
 from autoreg.slab_model import estimate_motion
 from autoreg.solver import Prior
 from autoreg.stations import Grid

@@ -11,8 +11,9 @@ import numpy as np
 
 from autoreg.batch_solver import solve_batch
 from autoreg.camera import Camera
+from autoreg.freedom import Free
 from autoreg.geometry import Rigid, angle_between_rotations
-from autoreg.refine import Free, refine
+from autoreg.refine import refine
 from autoreg.residuals import JointData
 from autoreg.solver import solve_joints
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving

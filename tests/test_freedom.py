@@ -1,0 +1,45 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from paved import CAMERA
+
+from autoreg import residuals as terms
+from autoreg.freedom import Free, moved_camera, moved_pose, stretched
+from autoreg.refine import Fit
+from autoreg.residuals import PARAMETERS
+from autoreg.solver import Solution
+from autoreg.stations import Grid
+
+NOTHING = Solution("converged", np.zeros(PARAMETERS), 0.0, np.zeros(3), np.zeros((3, PARAMETERS)), 1)
+
+
+def test_a_solve_that_changes_nothing_changes_nothing(stack_fit: Fit):
+    assert moved_camera(CAMERA, NOTHING) == CAMERA
+    pose = moved_pose(stack_fit.cam_from_ground, NOTHING)
+    assert pytest.approx(stack_fit.cam_from_ground.R, abs=1e-12) == pose.R
+    assert pose.t == pytest.approx(stack_fit.cam_from_ground.t)
+    assert stretched(Grid(0.6, 0.4), NOTHING) == Grid(0.6, 0.4)
+
+
+def test_a_stretched_lattice_keeps_its_area():
+    parameters = np.zeros(PARAMETERS)
+    parameters[terms.RATIO] = 0.1
+    grid = stretched(Grid(0.6, 0.4, 0.5), replace(NOTHING, parameters=parameters))
+    assert grid.spacing_x is not None
+    assert grid.spacing_x * grid.spacing_y == pytest.approx(0.24)
+    assert grid.spacing_x / grid.spacing_y == pytest.approx(1.5 * np.exp(0.1))
+    assert grid.shift == 0.5
+
+
+def test_priors_mean_the_nominal_camera_wherever_the_solve_starts():
+    nominal = replace(CAMERA, dist=(-0.1,) + (0.0,) * 7)
+    free = Free(focal=True, centre=True, radial=True, nominal=nominal, focal_sigma=0.05)
+    start = replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy, cx=CAMERA.cx + 7.0)
+    mean = free.prior(start).mean
+    assert start.fx * np.exp(mean[terms.FOCAL]) == pytest.approx(CAMERA.fx)
+    assert start.cx + mean[terms.CENTRE][0] == pytest.approx(CAMERA.cx)
+    assert start.dist[0] + mean[terms.RADIAL] == pytest.approx(-0.1)
+    assert free.prior(start).sigma[terms.FOCAL] == 0.05
