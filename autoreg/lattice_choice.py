@@ -74,15 +74,21 @@ class Paving:
 def rival(pavings: tuple[Paving, ...]) -> Paving | None:
     """The first of the pavings whose lattice differs from the best one's and explains the picture as well."""
     best = pavings[0]
-    mine = sorted((best.grid.spacing_x or 0.0, best.grid.spacing_y))
+    mine = _sides_in_heights(best)
     for other in pavings[1:]:
         if other.margin_nats < max(0.0, best.margin_nats - RIVAL_NATS):
             break
-        theirs = sorted((other.grid.spacing_x or 0.0, other.grid.spacing_y))
+        theirs = _sides_in_heights(other)
         turn = abs(other.grid.shift - best.grid.shift)
         if not np.allclose(mine, theirs, rtol=0.05) or 0.05 < turn < 0.95:
             return other
     return None
+
+
+def _sides_in_heights(paving: Paving) -> list[float]:
+    """The slab's sides in camera heights, the shorter one first: fits differ in their units."""
+    height = float(paving.fit.cam_from_ground.origin_in_a[2])
+    return sorted(side / height for side in (paving.grid.spacing_x or 0.0, paving.grid.spacing_y))
 
 
 def suited(

@@ -8,9 +8,9 @@ from paved import GRAVEL, gray_of, misses, nudged
 
 from autoreg.freedom import Free
 from autoreg.joint_looks import Strip
-from autoreg.lattice_choice import rival, settle_bond, with_pattern
+from autoreg.lattice_choice import Paving, rival, settle_bond, with_pattern
 from autoreg.paving import comb_planes, lay_lattice, looks_at
-from autoreg.presence import Pattern
+from autoreg.presence import Pattern, presence_of
 from autoreg.refine import Fit
 from autoreg.segments import detect_segments
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, slab_sides
@@ -142,6 +142,16 @@ def test_from_a_roughly_known_plane_to_the_lattice(name: str, request: pytest.Fi
     angle_deg, crossing_px = misses(fit.cam_from_ground, spacing_of(fit), photo)
     assert angle_deg < 0.05
     assert crossing_px < 0.3
+
+
+def test_a_lattice_in_another_unit_is_no_rival(stack_fit: Fit, stack_photo: SyntheticPhoto):
+    presence = presence_of(gray_of(stack_photo), stack_fit)
+    best = Paving(stack_fit, presence, (40.0, 40.0))
+    pose, (a, b) = stack_fit.cam_from_ground, spacing_of(stack_fit)
+    same = replace(stack_fit, cam_from_ground=replace(pose, t=1.4 * pose.t), grid=Grid(1.4 * a, 1.4 * b))
+    assert rival((best, replace(best, fit=same))) is None
+    finer = replace(best, fit=replace(stack_fit, grid=Grid(a / 2, b)))
+    assert rival((best, finer)) is finer
 
 
 def test_no_lattice_is_laid_on_gravel(gravel_photo: SyntheticPhoto):
