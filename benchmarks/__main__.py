@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from benchmarks.gate import BASELINE, judge, mode_of, read_baseline, write_baseline
+from benchmarks.gate import BASELINE, Judgement, judge, mode_of, read_baseline, write_baseline
 from benchmarks.options import DATA, Options
 from benchmarks.plots import draw_all
 from benchmarks.report import machine, markdown, print_report
@@ -37,7 +37,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--gate", action="store_true", help="fail where a figure is worse than the baseline")
     made.add_argument("--out", type=Path, default=plain.out, metavar="DIR", help="folder of results")
     made.add_argument("--update-baseline", action="store_true", help="make this run's figures the baseline")
-    made.add_argument("--docs", action="store_true", help="write docs/benchmarks.md from all results in DIR")
+    made.add_argument(
+        "--docs", action="store_true", help="write docs/benchmarks.md from DIR, full runs first"
+    )
     made.add_argument("--again", action="store_true", help="run nothing, report the results in DIR")
     made.add_argument("--seeds", type=int, help="so many seeds instead of a suite's own number")
     for name in DATA:
@@ -72,9 +74,9 @@ def main(words: Sequence[str] | None = None, console: Console | None = None) -> 
     (options.out / "report.md").write_text(markdown(every, judge(every, baseline, options.quick), place))
     console.print(f"wrote {options.out}/report.md, {kept} and the plots", soft_wrap=True)
     if asked.docs:
-        text = markdown(every, judge(every, baseline, options.quick), place)
-        (DOCS / "benchmarks.md").write_text(text)
-        draw_all(every, DOCS / "images")
+        results, judgements = documented(options.out)
+        (DOCS / "benchmarks.md").write_text(markdown(results, judgements, place))
+        draw_all(results, DOCS / "images")
         console.print("wrote docs/benchmarks.md", soft_wrap=True)
     if asked.update_baseline:
         write_baseline(BASELINE, ran, options.quick)
@@ -85,6 +87,24 @@ def main(words: Sequence[str] | None = None, console: Console | None = None) -> 
                 print(f"gate: {judgement.sentence()}", file=sys.stderr)
         return GATE_SHUT if any(j.failed for j in judged) else 0
     return 0
+
+
+def documented(out: Path) -> tuple[tuple[Result, ...], tuple[Judgement, ...]]:
+    """Every suite's result in a folder, the full run's where there is one, each judged as its kind of run."""
+    found: dict[str, Result] = {}
+    for quick in (True, False):
+        for result in read_results(out / f"results-{mode_of(quick)}.json"):
+            if result.suite not in found or result.skipped is None:
+                found[result.suite] = result
+    results = tuple(found[name] for name in NAMES if name in found)
+    judged = [
+        judgement
+        for quick in (True, False)
+        for judgement in judge(
+            [r for r in results if r.quick == quick], read_baseline(BASELINE, quick), quick
+        )
+    ]
+    return results, tuple(judged)
 
 
 def _run(names: Sequence[str], options: Options) -> tuple[Result, ...]:

@@ -272,6 +272,24 @@ def test_suites_run_one_by_one_are_reported_together(stand_in: Path):
     assert command.main(["--again", "--out", out]) == 0
 
 
+def test_the_documentation_takes_the_full_run_where_there_is_one_and_says_which(stand_in: Path):
+    out = stand_in / "out"
+    out.mkdir()
+    short = [
+        replace(result(), quick=True),
+        Result("truth", quick=True, figures=(Figure("truth.pose", 95.0),)),
+    ]
+    full = [result(figures=(Figure("limit.ratio", 1.25),)), Result("truth", skipped="no time")]
+    (out / "results-quick.json").write_text(to_json(short, PLACE))
+    (out / "results-full.json").write_text(to_json(full, PLACE))
+    results, judged = command.documented(out)
+    assert {r.suite: r.quick for r in results} == {"limit": False, "truth": True}
+    assert [j.value for j in judged if j.metric.key == "limit.ratio"] == [1.25]
+    text = markdown(results, judged, PLACE)
+    assert "- Ran in full: limit." in text
+    assert "- Ran with `--quick`, few seeds and small pictures: truth." in text
+
+
 def test_a_command_repeats_the_options_that_matter(tmp_path: Path):
     plain = Options(tmp_path)
     assert plain.command("limit") == "python -m benchmarks --only limit"
