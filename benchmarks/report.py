@@ -16,6 +16,7 @@ from benchmarks.gate import Judgement
 from benchmarks.metrics import Metric
 from benchmarks.plots import file_of
 from benchmarks.result import Result, Table
+from benchmarks.suites import NAMES
 
 PACKAGES = ("autoreg", "numpy", "opencv-python-headless", "jax", "jaxopt", "scipy", "poselib")
 BAD = "bold red"
@@ -125,7 +126,9 @@ def how_they_ran(results: Sequence[Result]) -> list[str]:
         ("with fewer or more seeds than the full run's, as the command beside each says", other),
         ("with `--quick`, few seeds and small pictures", short),
     )
-    return [*(f"- Ran {how}: {', '.join(names)}." for how, names in said if names), ""]
+    lines = [f"- Ran {how}: {', '.join(names)}." for how, names in said if names]
+    away = [name for name in NAMES if name not in [result.suite for result in results]]
+    return [*lines, *([f"- Not run: {', '.join(away)}."] if away else []), ""]
 
 
 def not_good_yet(results: Sequence[Result], judged: Sequence[Judgement]) -> list[str]:
