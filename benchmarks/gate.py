@@ -14,29 +14,36 @@ from benchmarks.result import Result
 
 BASELINE = Path(__file__).with_name("baseline.json")
 
-Verdict = Literal["as good", "better", "worse", "missing", "new", "not gated"]
+Verdict = Literal["as good", "better", "worse", "missing", "not measured", "new", "not gated"]
 FAILING: tuple[Verdict, ...] = ("worse", "missing")
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """One figure beside its baseline; `value` or `baseline` is None where there is none."""
+    """One figure beside its baseline; `value` or `baseline` is None where there is none.
+
+    `skipped` says why its suite did not run, and `excused` whether that is because its data are not here.
+    """
 
     metric: Metric
     value: float | None
     baseline: float | None
     verdict: Verdict
+    skipped: str = ""
+    excused: bool = False
 
     @property
     def failed(self) -> bool:
         """Whether the gate shuts."""
-        return self.verdict in FAILING
+        return self.verdict in FAILING or (self.verdict == "not measured" and not self.excused)
 
     def sentence(self) -> str:
         """What is wrong, or what there is to know."""
         m = self.metric
         if self.verdict == "missing":
             return f"{m.key}: the baseline has {self.baseline:.4g}, this run has no such figure"
+        if self.verdict == "not measured":
+            return f"{m.key}: not measured, the baseline has {self.baseline:.4g}: {self.skipped}"
         if self.verdict == "new":
             return f"{m.key}: not in the baseline; --update-baseline puts it there"
         allowed = f"{100 * m.relative:g} %" if m.relative else ""
@@ -80,17 +87,22 @@ def write_baseline(path: Path, results: Sequence[Result], quick: bool) -> None:
 
 
 def judge(results: Sequence[Result], baseline: dict[str, float], quick: bool) -> tuple[Judgement, ...]:
-    """A judgement of every metric that the suites which ran have, in the list's order.
+    """A judgement of every metric that these suites or the baseline have, in the list's order.
 
-    A suite that was skipped is not judged: what it needs is not there.
+    What the baseline has and a suite that was skipped should have measured is "not measured". That shuts the
+    gate, but not where the data were never put into their folder: a checkout alone cannot measure it.
     """
-    ran = {result.suite: result for result in results if result.skipped is None}
+    by_suite = {result.suite: result for result in results}
     judged: list[Judgement] = []
     for m in METRICS:
-        if m.suite not in ran:
+        result = by_suite.get(m.suite)
+        if result is None:
             continue
-        value, before = ran[m.suite].value(m.key), baseline.get(m.key)
+        value, before = result.value(m.key), baseline.get(m.key)
         if value is None and before is None:
+            continue
+        if result.skipped is not None:
+            judged.append(Judgement(m, None, before, "not measured", result.skipped, result.absent))
             continue
         judged.append(Judgement(m, value, before, _verdict(m, value, before, quick)))
     return tuple(judged)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+# The folders of data that a checkout alone does not have; each is an option.
+DATA = ("yorkurban", "photos")
 
 
 @dataclass(frozen=True)
@@ -18,8 +20,6 @@ class Options:
         seeds: so many seeds where a suite draws noise, instead of its own number.
         yorkurban: folder of the York Urban pictures and `ground_truth.json`.
         photos: folder of real photos, with `paved/` and `refuse/`.
-        scenes: folder of ray-traced scenes with truth.
-        chessboards: folder of published sets of chessboard photos.
     """
 
     out: Path
@@ -27,12 +27,15 @@ class Options:
     seeds: int | None = None
     yorkurban: Path = SHARED / "yorkurban"
     photos: Path = SHARED / "photos"
-    scenes: Path = SHARED / "scenes"
-    chessboards: Path = SHARED / "chessboards"
 
     def count(self, quick: int, full: int) -> int:
         """How many seeds to draw."""
         return self.seeds if self.seeds is not None else quick if self.quick else full
+
+    def is_absent(self, name: str) -> bool:
+        """Whether a folder of data was neither named nor put where it is looked for."""
+        folder = getattr(self, name)
+        return folder == getattr(Options(self.out), name) and not folder.exists()
 
     def cache(self, name: str) -> Path:
         """A folder, made if missing, for what a suite keeps between runs."""
@@ -46,7 +49,7 @@ class Options:
         words += ["--quick"] if self.quick else []
         words += [] if self.seeds is None else [f"--seeds {self.seeds}"]
         plain = Options(self.out)
-        for name in ("yorkurban", "photos", "scenes", "chessboards"):
+        for name in DATA:
             if getattr(self, name) != getattr(plain, name):
                 words.append(f"--{name} {getattr(self, name)}")
         return " ".join(words)

@@ -16,9 +16,11 @@ from benchmarks.gate import Judgement
 from benchmarks.metrics import Metric
 from benchmarks.plots import file_of
 from benchmarks.result import Result, Table
+from benchmarks.suites import NAMES
 
 PACKAGES = ("autoreg", "numpy", "opencv-python-headless", "jax", "jaxopt", "scipy", "poselib")
-STYLES = {"worse": "bold red", "missing": "bold red", "better": "green", "new": "yellow"}
+BAD = "bold red"
+STYLES = {"worse": BAD, "missing": BAD, "not measured": BAD, "better": "green", "new": "yellow"}
 
 
 def number(value: float | None) -> str:
@@ -52,7 +54,6 @@ def print_report(results: Sequence[Result], judged: Sequence[Judgement], console
         console.rule(Text(f"{result.suite}  ({result.seconds:.0f} s)"))
         if result.skipped is not None:
             console.print(Text(f"skipped: {result.skipped}"))
-            continue
         for table in result.tables:
             console.print(_rich(table))
         mine = [j for j in judged if j.metric.suite == result.suite]
@@ -60,7 +61,8 @@ def print_report(results: Sequence[Result], judged: Sequence[Judgement], console
             console.print(_figures(mine))
         for note in result.notes:
             console.print(Text(f"- {note}"), soft_wrap=True)
-        console.print(Text(f"again: {result.command}", style="dim"), soft_wrap=True)
+        if result.skipped is None:
+            console.print(Text(f"again: {result.command}", style="dim"), soft_wrap=True)
 
 
 def _rich(table: Table) -> RichTable:
@@ -97,7 +99,6 @@ def markdown(
     images: str = "images",
 ) -> str:
     """The report as Markdown, its plots in the folder `images`."""
-    quick = any(result.quick for result in results)
     lines = [
         "# How good autoreg is",
         "",
@@ -106,13 +107,28 @@ def markdown(
         "its goal and the gate's tolerance; `--gate` compares with `benchmarks/baseline.json`.",
         "",
     ]
-    if quick:
-        lines += ["**Some of these suites ran with `--quick`: few seeds, small pictures.**", ""]
+    lines += how_they_ran(results)
     lines += ["## What is not good yet", "", *not_good_yet(results, judged), ""]
     for result in results:
         lines += _section(result, [j for j in judged if j.metric.suite == result.suite], images)
     lines += ["## Where", "", *(f"- {name}: {value}" for name, value in machine), ""]
     return "\n".join(lines)
+
+
+def how_they_ran(results: Sequence[Result]) -> list[str]:
+    """Which suites ran in full, which in the short form, and which with another number of seeds."""
+    ran = [result for result in results if result.skipped is None]
+    short = [r.suite for r in ran if r.quick]
+    other = [r.suite for r in ran if not r.quick and "--seeds" in r.command]
+    full = [r.suite for r in ran if r.suite not in (*short, *other)]
+    said = (
+        ("in full", full),
+        ("with fewer or more seeds than the full run's, as the command beside each says", other),
+        ("with `--quick`, few seeds and small pictures", short),
+    )
+    lines = [f"- Ran {how}: {', '.join(names)}." for how, names in said if names]
+    away = [name for name in NAMES if name not in [result.suite for result in results]]
+    return [*lines, *([f"- Not run: {', '.join(away)}."] if away else []), ""]
 
 
 def not_good_yet(results: Sequence[Result], judged: Sequence[Judgement]) -> list[str]:

@@ -64,6 +64,7 @@ class Result:
         pictures: pictures.
         notes: what a reader has to know to judge the figures.
         skipped: why it did not run, or None.
+        absent: whether that is because its data were never put into the folder they are looked for in.
         seconds: how long it took.
         command: the command that measures these figures again.
         quick: whether it was the short run.
@@ -77,6 +78,7 @@ class Result:
     pictures: tuple[Picture, ...] = ()
     notes: tuple[str, ...] = ()
     skipped: str | None = None
+    absent: bool = False
     seconds: float = 0.0
     command: str = ""
     quick: bool = False

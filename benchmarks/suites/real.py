@@ -34,7 +34,8 @@ class Expected:
     ratio: float | None = None
 
 
-# Seen by eye: only what is beyond doubt. Whole rows may be told where cross joints are too weak.
+# Taken from the notes of the photos' manifest, where they name a bond or call the slabs square; they are
+# somebody's words, not measurements. Whole rows may be told where cross joints are too weak.
 KNOWN = {
     "cmu_checker1.jpg": Expected(("stack",), 1.0),
     "cmu_pavement_bw.png": Expected(("running",)),
@@ -143,7 +144,11 @@ def run(options: Options) -> Result:
         if path.suffix.lower() in SUFFIXES
     ]
     if not files:
-        return Result("real", skipped=f"{options.photos} has no photos in paved/ or refuse/ (--photos DIR)")
+        return Result(
+            "real",
+            skipped=f"{options.photos} has no photos in paved/ or refuse/ (--photos DIR)",
+            absent=options.is_absent("photos"),
+        )
     if options.quick:
         files = files[:QUICK_PHOTOS]
     seen = [look_at(path, paved=paved) for path, paved in files]
@@ -157,9 +162,8 @@ def run(options: Options) -> Result:
         about=(
             f"{paved} photos of paving and {others} of other things, without a camera file. 'right' "
             f"and 'wrong' "
-            "compare the kind of bond and the slabs' shape with what is known by eye; 'look' means "
-            "that nothing "
-            "is known but the overlay."
+            "compare the kind of bond and the slabs' shape with the notes of the photos' manifest, which "
+            "nobody has measured; 'look' means that the notes do not say."
         ),
         figures=(
             Figure("real.wrong", float(verdicts.count("wrong"))),

@@ -56,12 +56,16 @@ class Case:
 
 @dataclass(frozen=True)
 class Score:
-    """What one method reached: errors of directions and of the rotation, and its time as a share of LSD's."""
+    """What one method reached: errors of directions and of the rotation, and its time as a share of LSD's.
+
+    `failures` has the reason of each picture that it gave no directions for; those count as not found.
+    """
 
     name: str
     errors_deg: Float[np.ndarray, " n"]
     rotation_deg: Float[np.ndarray, " k"]
     over_lsd: float
+    failures: tuple[str, ...] = ()
 
     def area(self, limit: float) -> float:
         """Area under the recall curve up to a limit."""
@@ -110,7 +114,11 @@ def cases(folder: Path, most: int | None) -> tuple[Case, ...]:
 
 
 def score(
-    name: str, found: list[Float[np.ndarray, "3 3"] | None], over_lsd: float, asked: tuple[Case, ...]
+    name: str,
+    found: list[Float[np.ndarray, "3 3"] | None],
+    over_lsd: float,
+    asked: tuple[Case, ...],
+    failures: tuple[str, ...] = (),
 ) -> Score:
     """The errors of a method's directions (columns), None where it found nothing."""
     errors: list[np.ndarray] = []
@@ -124,12 +132,13 @@ def score(
         errors.append(error)
         # Both made of matched signs, so either both are rotations or both are mirrored alike.
         rotation.append(float(np.degrees(angle_between_rotations(ordered, case.true_dirs))))
-    return Score(name, np.concatenate(errors), np.array(rotation), over_lsd)
+    return Score(name, np.concatenate(errors), np.array(rotation), over_lsd, failures)
 
 
 def ours(asked: tuple[Case, ...]) -> tuple[Score, list[float]]:
     """The vanishing stage, and the seconds of one LSD pass of OpenCV's own settings on each picture."""
     found: list[np.ndarray | None] = []
+    refused: list[str] = []
     ratio: list[float] = []
     lsd: list[float] = []
     for case in asked:
@@ -140,11 +149,12 @@ def ours(asked: tuple[Case, ...]) -> tuple[Score, list[float]]:
         between = time.process_time()
         try:
             found.append(manhattan_frame(detect_segments(np.asarray(gray, np.uint8)), case.camera).dirs_cam)
-        except Refusal:
+        except Refusal as refusal:
             found.append(None)
+            refused.append(refusal.code)
         lsd.append(between - began)
         ratio.append((time.process_time() - between) / lsd[-1])
-    return score("autoreg", found, float(np.median(ratio)), asked), lsd
+    return score("autoreg", found, float(np.median(ratio)), asked, tuple(refused)), lsd
 
 
 def lu(asked: tuple[Case, ...], lsd: list[float], folder: Path) -> Score | str:
@@ -160,18 +170,30 @@ def lu(asked: tuple[Case, ...], lsd: list[float], folder: Path) -> Score | str:
         [str(python), str(program)], input=json.dumps(words), capture_output=True, text=True, check=False
     )
     if done.returncode:
-        return f"it failed: {done.stderr.strip().splitlines()[-1]}"
-    answers: list[dict[str, Any]] = json.loads(done.stdout)
+        said = done.stderr.strip().splitlines()
+        return f"it failed: {said[-1] if said else f'exit code {done.returncode}'}"
+    return lu_score(json.loads(done.stdout), asked, lsd)
+
+
+def lu_score(answers: list[dict[str, Any]], asked: tuple[Case, ...], lsd: list[float]) -> Score | str:
+    """The score of lu-vp-detect's answers; a word instead where it failed on every picture."""
+    failures = tuple(str(a["error"]) for a in answers if a["dirs"] is None)
+    if len(failures) == len(answers):
+        return f"it failed on every picture, first by {failures[0]}"
     # Its axes: it gives rows; signs are free.
     found = [None if a["dirs"] is None else np.array(a["dirs"], float).T for a in answers]
     ratio = float(np.median([a["seconds"] / s for a, s in zip(answers, lsd, strict=True)]))
-    return score("lu-vp-detect 1.0.4", found, ratio, asked)
+    return score("lu-vp-detect 1.0.4", found, ratio, asked, failures)
 
 
 def run(options: Options) -> Result:
     """The stage and its peers on the database."""
     if not (options.yorkurban / "ground_truth.json").is_file():
-        return Result("vanishing", skipped=f"{options.yorkurban} has no ground_truth.json (--yorkurban DIR)")
+        return Result(
+            "vanishing",
+            skipped=f"{options.yorkurban} has no ground_truth.json (--yorkurban DIR)",
+            absent=options.is_absent("yorkurban"),
+        )
     asked = cases(options.yorkurban, QUICK_PICTURES if options.quick else None)
     mine, lsd = ours(asked)
     # The short run installs nothing.
@@ -185,6 +207,12 @@ def run(options: Options) -> Result:
     notes = [
         "The figures measured elsewhere are of 77 of the database's 102 pictures, "
         f"ours of the {len(asked)} at hand: they are beside, not against, each other.",
+    ]
+    notes += [
+        f"{s.name} gave nothing on {len(s.failures)} of {len(asked)} pictures, which count as not found: "
+        f"{'; '.join(sorted(set(s.failures)))}."
+        for s in scores
+        if s.failures
     ]
     if isinstance(other, str):
         notes.append(f"lu-vp-detect was not run beside it: {other}.")
@@ -211,14 +239,16 @@ def _table(scores: list[Score]) -> Table:
             *(f"{s.area(limit):.3f}" for limit in LIMITS_DEG),
             f"{np.median(s.rotation_deg):.2f}",
             f"{s.over_lsd:.2f}",
+            str(len(s.failures)),
         )
         for s in scores
     ]
     rows += [
-        (f"{name} (elsewhere)", *(f"{a:.3f}" for a in areas), "" if turn is None else f"{turn:.2f}", "")
+        (f"{name} (elsewhere)", *(f"{a:.3f}" for a in areas), "" if turn is None else f"{turn:.2f}", "", "")
         for name, areas, turn in ELSEWHERE
     ]
-    columns = ("method", *(f"AUC at {limit:g}°" for limit in LIMITS_DEG), "rotation, median °", "LSD passes")
+    areas = tuple(f"AUC at {limit:g}°" for limit in LIMITS_DEG)
+    columns = ("method", *areas, "rotation, median °", "LSD passes", "failed")
     return Table("York Urban", columns, tuple(rows))
 
 
