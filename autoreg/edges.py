@@ -19,6 +19,8 @@ from autoreg.profiles import STEP_PX, Profiles
 INDEPENDENT = 0.5 * STEP_PX
 # Variance of grey levels that every mean profile has, whatever it looks like.
 NOISE_FLOOR = 0.02
+# Profiles whose rooms differ by less are searched together.
+ROOM_STEP_PX = 4.0
 # So many profiles are fitted at a time: what a processor's cache holds.
 BATCH = 512
 # Offsets that move by less than this have converged.
@@ -89,13 +91,16 @@ def search_offsets(
     prior = _single(0.5 * (candidates / prior_px) ** 2)
     bucket = np.clip(np.round(2 * np.log2(np.maximum(width_px, 1.0))), 0, 9).astype(int)
     best = np.zeros(len(profiles.values))
-    centred = profiles.values - profiles.values.mean(1, keepdims=True)
-    total = (centred**2).sum(1) + 1e-6
-    for level in np.unique(bucket):
-        rows = np.flatnonzero(bucket == level)
-        step, strip = _explained(centred[rows], _strips(at, candidates, 2.0 ** (level / 2), blur))
-        left = np.maximum(total[rows, None] - step**2 - strip**2, 1e-3 * total[rows, None] + 1e-6)
-        likelihood = -0.5 * INDEPENDENT * len(at) * np.log(left) - prior
+    rooms = np.ceil(profiles.room_px / ROOM_STEP_PX).astype(int)
+    for level, room in np.unique(np.stack([bucket, rooms], 1), axis=0):
+        rows = np.flatnonzero((bucket == level) & (rooms == room))
+        inside = np.abs(at) <= room * ROOM_STEP_PX
+        values = profiles.values[np.ix_(rows, inside)]
+        centred = values - values.mean(1, keepdims=True)
+        total = (centred**2).sum(1, keepdims=True) + 1e-6
+        step, strip = _explained(centred, _strips(at[inside], candidates, 2.0 ** (level / 2), blur))
+        left = np.maximum(total - step**2 - strip**2, 1e-3 * total + 1e-6)
+        likelihood = -0.5 * INDEPENDENT * inside.sum() * np.log(left) - prior
         best[rows] = candidates[likelihood.argmax(1)]
     return best
 
@@ -253,7 +258,8 @@ def strip_misfit(
 ) -> float:
     """Mean logarithm of the unexplained variance of some stations' profiles, for a joint width and a blur."""
     values = profiles.values[rows]
-    strip = _Strip(values, np.ones_like(values), _single(width_px[rows]), blur)
+    inside = np.abs(profiles.at_px) <= profiles.room_px[rows, None]
+    strip = _Strip(values, inside.astype(np.float32), _single(width_px[rows]), blur)
     strip.at(_single(profiles.at_px) - _single(offset_px[rows])[:, None])
-    left, total = _dot(strip.misfit, strip.misfit), _dot(strip.values, strip.values)
+    left, total = (_dot(strip.weight * v, v) for v in (strip.misfit, strip.values))
     return float(np.mean(np.log(left / np.maximum(total, 1e-9) + 1e-3)))

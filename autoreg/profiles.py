@@ -22,7 +22,8 @@ REMAP_ROWS = 8192
 class Profiles:
     """Grey levels across each station: `values[n, p]` at `at_px[p]` from `centre_px[n]` along `normal[n]`.
 
-    `px_per_unit` is the scale across the joint there: how many pixels a unit of ground spans.
+    `px_per_unit` is the scale across the joint there: how many pixels a unit of ground spans. What lies
+    farther than `room_px` off the centre is not the station's own: wide joints need wider profiles.
     """
 
     values: Float32[np.ndarray, "n p"]
@@ -30,11 +31,17 @@ class Profiles:
     centre_px: Float[np.ndarray, "n 2"]
     normal: Float[np.ndarray, "n 2"]
     px_per_unit: Float[np.ndarray, " n"]
+    room_px: Float[np.ndarray, " n"]
 
     def take(self, index: np.ndarray) -> Profiles:
         """The profiles of some stations."""
         return Profiles(
-            self.values[index], self.at_px, self.centre_px[index], self.normal[index], self.px_per_unit[index]
+            self.values[index],
+            self.at_px,
+            self.centre_px[index],
+            self.normal[index],
+            self.px_per_unit[index],
+            self.room_px[index],
         )
 
 
@@ -43,11 +50,15 @@ def sample_profiles(
     camera: Camera,
     cam_from_ground: Rigid,
     stations: Stations,
-    half_px: float,
+    half_px: float | Float[np.ndarray, " n"],
     *,
     along_samples: int = ALONG_SAMPLES,
 ) -> Profiles:
-    """Mean profiles across the stations, each averaged along its stretch of joint."""
+    """Mean profiles across the stations, each averaged along its stretch of joint.
+
+    `half_px` is how far the profiles reach, or how far each of them needs to.
+    """
+    room = np.broadcast_to(np.asarray(half_px, float), len(stations)).copy()
     reach = stations.half_length[:, None] * stations.direction
     fraction = (np.arange(along_samples) + 0.5) / along_samples * 2 - 1
     along = stations.ground[:, None] + fraction[:, None] * reach[:, None]
@@ -62,7 +73,7 @@ def sample_profiles(
     moved = project_ground(camera, cam_from_ground, stations.ground + small * across)
     per_unit = ((moved - centre) * normal).sum(1) / small
     normal *= np.sign(per_unit)[:, None]
-    count = int(np.ceil(half_px / STEP_PX))
+    count = int(np.ceil(np.max(room, initial=0.0) / STEP_PX))
     at = np.arange(-count, count + 1) * STEP_PX
     n, m, p = len(stations), along_samples, len(at)
     u = np.empty((n, m, p), np.float32)
@@ -79,4 +90,4 @@ def sample_profiles(
             borderMode=cv2.BORDER_REPLICATE,
         )  # fmt: skip
         grey.reshape(-1, m, p).mean(1, out=values[part])
-    return Profiles(values, at, centre, normal, np.abs(per_unit))
+    return Profiles(values, at, centre, normal, np.abs(per_unit), room)

@@ -33,6 +33,8 @@ MOST_SIDES = 200.0
 # Where joints are neither dark nor light, those whose contrast, against the light around them, is below this
 # part of what is usual are none.
 FAINT = 0.1
+# What is seen on either side of a joint, and the farthest that profiles reach for wide ones, in pixels.
+SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 # Grey levels that even the deepest shadow has.
 DARK = 8.0
 
@@ -159,10 +161,14 @@ def _round(
     stations = place_stations(sides, camera, pose, limit=limit)
     side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
     across = np.where(stations.family == ALONG_X, side[1], side[0])
-    half = 10.0 if search else 7.0
+    least = 10.0 if search else 7.0
+    half = np.full(len(stations), least)
+    if strip is not None:
+        wide_px = _joint_width_px(camera, pose, stations, strip)
+        half = np.clip(0.5 * wide_px + SHOULDERS_PX, least, WIDEST_HALF_PX)
     profiles = sample_profiles(picture, camera, pose, stations, half + 3.0)
     pitch_px = across * profiles.px_per_unit
-    reach_px = np.clip(search * pitch_px, 1.5, half) if search else np.full(len(stations), 1.5)
+    reach_px = np.clip(search * pitch_px, 1.5, least) if search else np.full(len(stations), 1.5)
     known = strip is not None
     if strip is None:
         strip = Strip((0.02 * side[1], 0.02 * side[0]), 0.9)
@@ -171,7 +177,7 @@ def _round(
         start = search_joints(profiles, stations, strip, reach_px)
     else:
         start = np.zeros(len(stations))
-    widest_px = 2 * half - 6
+    widest_px = 2 * (half - SHOULDERS_PX + 3.0)
     measured: tuple[Offsets, np.ndarray, Strip] | None = None
     for last in (False, True):
         # Looks that are known change little: they are measured where the joints are found to be.
@@ -215,6 +221,14 @@ def _round(
     return fit
 
 
+def _joint_width_px(camera: Camera, pose: Rigid, stations: Stations, strip: Strip) -> Float[np.ndarray, " n"]:
+    """Distance between the two edges of each station's joint in the picture."""
+    half = 0.5 * np.where(stations.family == ALONG_X, strip.width[0], strip.width[1])
+    across = half[:, None] * stations.direction[:, ::-1]
+    far, near = (project_ground(camera, pose, stations.ground + way * across) for way in (1.0, -1.0))
+    return np.nan_to_num(np.linalg.norm(far - near, axis=1))
+
+
 def _plausible(pose: Rigid, grid: Grid) -> bool:
     """Whether a lattice may be one of slabs: a solve with nothing to hold it can run away."""
     height = float(pose.origin_in_a[2])
@@ -227,7 +241,7 @@ def _measured(
     stations: Stations,
     start: np.ndarray,
     strip: Strip,
-    widest_px: float,
+    widest_px: np.ndarray,
     reach_px: np.ndarray,
     side: np.ndarray,
     looks: Literal["known", "near", "unknown"],
@@ -237,6 +251,9 @@ def _measured(
     offsets = fit_offsets(profiles, start, np.minimum(width_px, widest_px), strip.blur_px)
     usable = (offsets.strength > 0.25) & np.isfinite(offsets.offset_px)
     usable &= np.abs(offsets.offset_px) < reach_px + 1.5
+    if looks != "unknown":
+        # A strip that is too narrow holds on to one edge.
+        usable &= width_px <= widest_px
     polarity = strip.polarity
     if not strip.polarity_known:
         polarity = joint_polarity(profiles, stations, offsets.offset_px, strip, side)

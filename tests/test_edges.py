@@ -29,7 +29,14 @@ def strip_values(
 def profiles_of(*values: np.ndarray) -> Profiles:
     n = len(values)
     normal = np.tile([0.0, 1.0], (n, 1))
-    return Profiles(np.stack(values).astype(np.float32), AT, np.zeros((n, 2)), normal, np.full(n, 100.0))
+    return Profiles(
+        np.stack(values).astype(np.float32),
+        AT,
+        np.zeros((n, 2)),
+        normal,
+        np.full(n, 100.0),
+        np.full(n, AT[-1]),
+    )
 
 
 def each(value: float, profiles: Profiles) -> np.ndarray:
