@@ -35,6 +35,8 @@ MOST_SIDES = 200.0
 FAINT = 0.1
 # What is seen on either side of a joint, and the farthest that profiles reach for wide ones, in pixels.
 SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
+# ... and where nothing is known of the joints.
+UNKNOWN_HALF_PX = 16.0
 # Grey levels that even the deepest shadow has.
 DARK = 8.0
 
@@ -162,9 +164,12 @@ def _round(
     side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
     across = np.where(stations.family == ALONG_X, side[1], side[0])
     least = 10.0 if search else 7.0
-    half = np.full(len(stations), least)
-    if strip is not None:
-        wide_px = _joint_width_px(camera, pose, stations, strip)
+    if strip is None:
+        # As wide as joints can be that nothing is known of, but clear of the neighbours.
+        slab_px = _width_px(camera, pose, stations, (side[1], side[0]))
+        half = np.clip(0.35 * slab_px, least, UNKNOWN_HALF_PX)
+    else:
+        wide_px = _width_px(camera, pose, stations, strip.width)
         half = np.clip(0.5 * wide_px + SHOULDERS_PX, least, WIDEST_HALF_PX)
     profiles = sample_profiles(picture, camera, pose, stations, half + 3.0)
     pitch_px = across * profiles.px_per_unit
@@ -221,9 +226,11 @@ def _round(
     return fit
 
 
-def _joint_width_px(camera: Camera, pose: Rigid, stations: Stations, strip: Strip) -> Float[np.ndarray, " n"]:
-    """Distance between the two edges of each station's joint in the picture."""
-    half = 0.5 * np.where(stations.family == ALONG_X, strip.width[0], strip.width[1])
+def _width_px(
+    camera: Camera, pose: Rigid, stations: Stations, width: tuple[float, float]
+) -> Float[np.ndarray, " n"]:
+    """What a width on the ground, across the joints of either family, is in the picture."""
+    half = 0.5 * np.where(stations.family == ALONG_X, width[0], width[1])
     across = half[:, None] * stations.direction[:, ::-1]
     far, near = (project_ground(camera, pose, stations.ground + way * across) for way in (1.0, -1.0))
     return np.nan_to_num(np.linalg.norm(far - near, axis=1))

@@ -67,6 +67,16 @@ def test_dark_joints_are_told_from_light_ones_and_from_none(
     assert crossing_px < 0.1
 
 
+def test_wide_joints_are_measured_by_both_of_their_edges():
+    photo = render_paving(replace(STACK, joint_width_m=0.035))
+    fit = fit_of(photo)
+    assert (fit.strip.width[0] * fit.profiles.px_per_unit).max() > 11.0
+    assert fit.strip.width == pytest.approx((0.035, 0.035), rel=0.05)
+    angle_deg, crossing_px = miss_of(fit, photo)
+    assert angle_deg < 0.01
+    assert crossing_px < 0.05
+
+
 def test_the_joints_width_is_measured(stack_fit: Fit, half_fit: Fit):
     for fit, scene in ((stack_fit, STACK), (half_fit, HALF_BOND)):
         assert fit.strip.width == pytest.approx([scene.joint_width_m] * 2, rel=0.35)
