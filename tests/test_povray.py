@@ -35,6 +35,8 @@ from autoreg.view import View, Window
 
 needs_povray = pytest.mark.skipif(find_povray() is None, reason="POV-Ray is not installed")
 LENSES = pytest.mark.parametrize("camera", [CAMERA, distorted()], ids=["pinhole", "lens"])
+# POV-Ray's 16-bit colours move by a few units with which of its threads renders a block.
+THREADS = 8 / 65535
 
 
 def engine(folder, **options):
@@ -262,7 +264,8 @@ def test_two_renders_in_one_folder_do_not_collide(tmp_path):
     for thread in threads:
         thread.join()
     for which, light in answers:
-        assert np.array_equal(light, engine(tmp_path).draw(which, window).light)
+        assert np.abs(light - engine(tmp_path).draw(which, window).light).max() < THREADS
+    assert np.abs(answers[0][1] - answers[1][1]).max() > 100 * THREADS
     assert list(tmp_path.iterdir()) == []
 
 
