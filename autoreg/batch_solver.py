@@ -28,16 +28,16 @@ from autoreg.residuals import (
 )
 from autoreg.solver import (
     CAUCHY_SIGMAS,
-    CONVERGED,
     FIRST_DAMPING,
     LEAST_DAMPING,
     MOST_DAMPING,
     MOST_STEPS,
     NOTHING,
     STOP,
-    Outcome,
     Prior,
     Solution,
+    outcome_of,
+    padded,
 )
 
 
@@ -95,7 +95,7 @@ def solve_batch(
         )
     return tuple(
         Solution(
-            _outcome(float(cost[k]), float(promised[k])),
+            outcome_of(float(cost[k]), float(promised[k])),
             parameters[k],
             float(cost[k]),
             distances[k, : len(data.weight)],
@@ -111,25 +111,11 @@ def _rounded(rows: int) -> int:
     return -(-rows // part) * part
 
 
-def _outcome(cost: float, promised: float) -> Outcome:
-    if not np.isfinite(cost):
-        return "diverged"
-    return "converged" if promised <= CONVERGED * cost + NOTHING else "stalled"
-
-
 def _problem(data: JointData, columns: tuple[int, ...], prior: Prior, most: int) -> _Problem:
-    """A problem of `most` rows: padding repeats the first joint without weight."""
-    n, free = len(data.weight), list(columns)
+    free = list(columns)
     scale = np.asarray(data.scale, float)[free]
-    rows = np.where(np.arange(most) < n, np.arange(most), 0)
-    whole = JointData(*(np.asarray(v, float) for v in data))
     return _Problem(
-        data=whole._replace(
-            ground=whole.ground[rows],
-            measured_px=whole.measured_px[rows],
-            normal=whole.normal[rows],
-            weight=np.where(np.arange(most) < n, whole.weight[rows], 0.0),
-        ),
+        data=padded(data, most),
         unit=np.ones(len(free)),
         prior_mean=prior.mean[free] / scale,
         prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma[free]),

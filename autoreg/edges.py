@@ -7,6 +7,7 @@ squares fit of that blurred strip; matching one edge would leave half a joint wi
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ INDEPENDENT = 0.5 * STEP_PX
 NOISE_FLOOR = 0.02
 # Profiles whose rooms differ by less are searched together.
 ROOM_STEP_PX = 4.0
+# Wider strips are searched as if they were so wide.
+WIDEST_PX = 2.0**4.5
 # So many profiles are fitted at a time: what a processor's cache holds.
 BATCH = 512
 # Offsets that move by less than this have converged.
@@ -79,6 +82,15 @@ def _explained(centred: Float32[np.ndarray, "n p"], strips: np.ndarray) -> tuple
     return both[:, :c], both[:, c:]
 
 
+def _alike(
+    width_px: Float[np.ndarray, " n"], rooms: Int[np.ndarray, " n"]
+) -> Iterator[tuple[np.ndarray, float, int]]:
+    """Rows of the profiles that can share a strip, its width (a power of the root of two), and their room."""
+    level = np.round(2 * np.log2(np.maximum(width_px, 1.0))).astype(int)
+    for key in np.unique(np.stack([level, rooms], 1), axis=0):
+        yield np.flatnonzero((level == key[0]) & (rooms == key[1])), 2.0 ** (key[0] / 2), key[1]
+
+
 def search_offsets(
     profiles: Profiles, width_px: Float[np.ndarray, " n"], reach_px: float, prior_px: float, blur: float = 0.9
 ) -> Float[np.ndarray, " n"]:
@@ -89,16 +101,14 @@ def search_offsets(
     at = profiles.at_px
     candidates = np.arange(-np.floor(reach_px), np.floor(reach_px) + 0.25, 0.5)
     prior = _single(0.5 * (candidates / prior_px) ** 2)
-    bucket = np.clip(np.round(2 * np.log2(np.maximum(width_px, 1.0))), 0, 9).astype(int)
     best = np.zeros(len(profiles.values))
     rooms = np.ceil(profiles.room_px / ROOM_STEP_PX).astype(int)
-    for level, room in np.unique(np.stack([bucket, rooms], 1), axis=0):
-        rows = np.flatnonzero((bucket == level) & (rooms == room))
+    for rows, width, room in _alike(np.minimum(width_px, WIDEST_PX), rooms):
         inside = np.abs(at) <= room * ROOM_STEP_PX
         values = profiles.values[np.ix_(rows, inside)]
         centred = values - values.mean(1, keepdims=True)
         total = (centred**2).sum(1, keepdims=True) + 1e-6
-        step, strip = _explained(centred, _strips(at[inside], candidates, 2.0 ** (level / 2), blur))
+        step, strip = _explained(centred, _strips(at[inside], candidates, width, blur))
         left = np.maximum(total - step**2 - strip**2, 1e-3 * total + 1e-6)
         likelihood = -0.5 * INDEPENDENT * inside.sum() * np.log(left) - prior
         best[rows] = candidates[likelihood.argmax(1)]
@@ -236,17 +246,14 @@ def strip_support(
     """
     at = profiles.at_px
     candidates = np.arange(-tolerance_px, tolerance_px + 0.25, 0.5)
-    level = np.round(2 * np.log2(np.maximum(width_px, 1.0))).astype(int)
-    rooms = np.round(room_px).astype(int)
     support = np.zeros(len(profiles.values))
-    for key in np.unique(np.stack([level, rooms], 1), axis=0):
-        rows = np.flatnonzero((level == key[0]) & (rooms == key[1]))
-        inside = np.abs(at) <= key[1]
+    for rows, width, room in _alike(width_px, np.round(room_px).astype(int)):
+        inside = np.abs(at) <= room
         values = profiles.values[rows][:, inside]
         centred = values - values.mean(1, keepdims=True)
         # A grey level of noise keeps flat profiles from scoring by chance.
         total = ((centred**2).sum(1) + 0.5 * inside.sum())[:, None]
-        step, strip = _explained(centred, _strips(at[inside], candidates, 2.0 ** (key[0] / 2), blur))
+        step, strip = _explained(centred, _strips(at[inside], candidates, width, blur))
         sign = polarity[rows, None]
         lined = np.where(strip * sign > 0, strip**2 / (total - step**2), 0.0)
         support[rows] = np.where(sign == 0, (step**2 + strip**2) / total, lined).max(1)

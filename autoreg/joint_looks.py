@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.camera import Camera
 from autoreg.edges import Offsets, fit_offsets, search_offsets, strip_misfit
+from autoreg.geometry import Rigid
 from autoreg.profiles import Profiles
-from autoreg.stations import ALONG_X, ALONG_Y, Stations
+from autoreg.stations import ALONG_X, ALONG_Y, Stations, project_ground
 
 # Joint widths, in slab sides, and blurs in pixels that are tried where nothing is known of them, ...
 WIDTHS = np.geomspace(0.004, 0.16, 14)
@@ -53,6 +55,36 @@ class Strip:
 def width_px_of(strip: Strip, stations: Stations, profiles: Profiles) -> Float[np.ndarray, " n"]:
     """Width of each station's joint in pixels."""
     return np.where(stations.family == ALONG_X, strip.width[0], strip.width[1]) * profiles.px_per_unit
+
+
+def projected_width_px(
+    camera: Camera, pose: Rigid, stations: Stations, width: tuple[float, float]
+) -> Float[np.ndarray, " n"]:
+    """What a width on the ground, across the joints of either family, is in the picture."""
+    far, near = _edges_px(camera, pose, stations, width)
+    return np.nan_to_num(np.linalg.norm(far - near, axis=1))
+
+
+def _edges_px(
+    camera: Camera, pose: Rigid, stations: Stations, width: tuple[float, float]
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """Where half a width on the ground beyond each station, and half a width before it, are seen."""
+    half = 0.5 * np.where(stations.family == ALONG_X, width[0], width[1])
+    across = half[:, None] * stations.direction[:, ::-1]
+    far, near = (project_ground(camera, pose, stations.ground + way * across) for way in (1.0, -1.0))
+    return far, near
+
+
+def middle_px(
+    camera: Camera, pose: Rigid, stations: Stations, normal: Float[np.ndarray, "n 2"], strip: Strip
+) -> Float[np.ndarray, " n"]:
+    """How far the middle of a joint's two edges lies off its centre line in the picture, along the normal.
+
+    The nearer half of a joint looks wider than the farther one.
+    """
+    centre = project_ground(camera, pose, stations.ground)
+    far, near = _edges_px(camera, pose, stations, strip.width)
+    return ((0.5 * (far + near) - centre) * normal).sum(1)
 
 
 def search_joints(

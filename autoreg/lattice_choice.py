@@ -18,7 +18,6 @@ from autoreg.presence import (
     Presence,
     best_pattern,
     broken,
-    possible_fields,
     presence_of,
 )
 from autoreg.refine import Fit
@@ -231,7 +230,7 @@ def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
     """Log likelihood ratio of the lattice, per family, over the part of the picture that suits best."""
     options = [
         tuple(evidence - 0.5 * price for evidence in _evidence_of(presence.take(np.flatnonzero(field)), grid))
-        for field, price in possible_fields(presence)
+        for field, price in presence.possible_fields
     ]
     x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
     return x, y

@@ -9,6 +9,7 @@ a p-value that needs no model of the texture.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32
@@ -79,10 +80,16 @@ class Presence:
         options = [p_llr(self.p[rows], missed) for missed in MISSED]
         return max(options, key=lambda llr: float(llr.sum()))
 
+    def largest(self, share: float) -> Bool[np.ndarray, " n"]:
+        """Which sides are of the given share that is largest in the picture."""
+        chosen = np.zeros(len(self.p), dtype=bool)
+        count = max(1, round(share * len(self.p)))
+        chosen[np.argsort(-self.size_px, kind="stable")[:count]] = True
+        return chosen
+
     def nearest(self, share: float) -> Presence:
         """The given share of the sides, the largest in the picture first."""
-        count = max(1, round(share * len(self.p)))
-        return self.take(np.sort(np.argsort(-self.size_px, kind="stable")[:count]))
+        return self.take(np.flatnonzero(self.largest(share)))
 
     def inside(self, field: Float[np.ndarray, "k 2"]) -> Presence:
         """The sides whose middle lies in a convex counter-clockwise polygon."""
@@ -93,6 +100,29 @@ class Presence:
         return Presence(
             self.sides.take(rows), self.p[rows], self.size_px[rows], self.beaten[rows], self.at_px[rows]
         )
+
+    @cached_property
+    def possible_fields(self) -> tuple[tuple[Bool[np.ndarray, " n"], float], ...]:
+        """Sides that may be all there is of the paving, each choice of them with its price in nats."""
+        if len(self.p) == 0:
+            return ((np.zeros(0, dtype=bool), SHARE_COST),)
+        fields = [(self.largest(share), SHARE_COST) for share in FIELD_SHARES]
+        boxes = _boxes(self.at_px)
+        llr = np.array([p_llr(self.p, missed) for missed in MISSED])
+        best = int((llr @ np.array(boxes, float).T).max(0).argmax())
+        return (*fields, (boxes[best], BOX_COST))
+
+
+def _boxes(at_px: Float[np.ndarray, "n 2"]) -> list[Bool[np.ndarray, " n"]]:
+    """Which places lie in each box of the part of the picture that they span."""
+    low, size = at_px.min(0), np.ptp(at_px, axis=0)
+    at = (at_px - low) / np.maximum(size, 1e-9)
+    corners = ((share, np.linspace(0.0, 1.0 - share, count)) for share, count in BOXES)
+    return [
+        ((at >= corner) & (at <= corner + share)).all(1)
+        for share, places in corners
+        for corner in np.stack(np.meshgrid(places, places), -1).reshape(-1, 2)
+    ]
 
 
 def side_presence(
@@ -170,26 +200,6 @@ def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
     return np.log((1 - missed) * SHARPNESS * p ** (SHARPNESS - 1) + missed)
 
 
-def possible_fields(presence: Presence) -> list[tuple[Bool[np.ndarray, " n"], float]]:
-    """Sides that may be all there is of the paving, each choice of them with its price in nats."""
-    n = len(presence.p)
-    if n == 0:
-        return [(np.zeros(0, dtype=bool), SHARE_COST)]
-    rank = np.empty(n, int)
-    rank[np.argsort(-presence.size_px, kind="stable")] = np.arange(n)
-    fields = [(rank < max(1, round(share * n)), SHARE_COST) for share in FIELD_SHARES]
-    low, size = presence.at_px.min(0), np.ptp(presence.at_px, axis=0)
-    llr = np.array([p_llr(presence.p, missed) for missed in MISSED])
-    at = (presence.at_px - low) / np.maximum(size, 1e-9)
-    boxes = [
-        ((at >= corner) & (at <= corner + share)).all(1)
-        for share, count in BOXES
-        for corner in np.stack(np.meshgrid(*2 * [np.linspace(0.0, 1.0 - share, count)]), -1).reshape(-1, 2)
-    ]
-    best = int((llr @ np.array(boxes, float).T).max(0).argmax())
-    return [*fields, (boxes[best], BOX_COST)]
-
-
 @dataclass(frozen=True)
 class Pattern:
     """Which sides of a fine lattice belong to the true one.
@@ -219,7 +229,7 @@ def best_pattern(
     cost = [np.log(m) if q == 0 and m <= 2 else 2 * np.log(m) + DEPARTURE_NATS for m, q, _ in keys]
     ways = np.concatenate([_residues(line, cell, m, q) for m in periods for q in range(m)], 1)
     by_missed = np.array([p_llr(presence.p[rows], missed) for missed in MISSED], np.float32)
-    fields, prices = zip(*possible_fields(presence), strict=True)
+    fields, prices = zip(*presence.possible_fields, strict=True)
     held = np.array(fields)[:, rows]
     weights = (held[:, None] * by_missed).reshape(len(held) * len(MISSED), len(rows))
     sums = weights @ ways

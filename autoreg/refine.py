@@ -12,7 +12,16 @@ from autoreg.camera import Camera
 from autoreg.edges import Offsets, fit_offsets
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
-from autoreg.joint_looks import Strip, estimate_strip, first_look, joint_polarity, search_joints, width_px_of
+from autoreg.joint_looks import (
+    Strip,
+    estimate_strip,
+    first_look,
+    joint_polarity,
+    middle_px,
+    projected_width_px,
+    search_joints,
+    width_px_of,
+)
 from autoreg.profiles import Profiles, sample_profiles
 from autoreg.residuals import JointData
 from autoreg.scatter import beside_rim, scatter_model
@@ -166,10 +175,10 @@ def _round(
     least = 10.0 if search else 7.0
     if strip is None:
         # As wide as joints can be that nothing is known of, but clear of the neighbours.
-        slab_px = _width_px(camera, pose, stations, (side[1], side[0]))
+        slab_px = projected_width_px(camera, pose, stations, (side[1], side[0]))
         half = np.clip(0.35 * slab_px, least, UNKNOWN_HALF_PX)
     else:
-        wide_px = _width_px(camera, pose, stations, strip.width)
+        wide_px = projected_width_px(camera, pose, stations, strip.width)
         half = np.clip(0.5 * wide_px + SHOULDERS_PX, least, WIDEST_HALF_PX)
     profiles = sample_profiles(picture, camera, pose, stations, half + 3.0)
     pitch_px = across * profiles.px_per_unit
@@ -226,16 +235,6 @@ def _round(
     return fit
 
 
-def _width_px(
-    camera: Camera, pose: Rigid, stations: Stations, width: tuple[float, float]
-) -> Float[np.ndarray, " n"]:
-    """What a width on the ground, across the joints of either family, is in the picture."""
-    half = 0.5 * np.where(stations.family == ALONG_X, width[0], width[1])
-    across = half[:, None] * stations.direction[:, ::-1]
-    far, near = (project_ground(camera, pose, stations.ground + way * across) for way in (1.0, -1.0))
-    return np.nan_to_num(np.linalg.norm(far - near, axis=1))
-
-
 def _plausible(pose: Rigid, grid: Grid) -> bool:
     """Whether a lattice may be one of slabs: a solve with nothing to hold it can run away."""
     height = float(pose.origin_in_a[2])
@@ -276,20 +275,6 @@ def _measured(
         thorough = looks == "unknown"
         strip = estimate_strip(profiles, offsets, stations, strip, usable, side, thorough=thorough)
     return offsets, usable, strip
-
-
-def middle_px(
-    camera: Camera, pose: Rigid, stations: Stations, normal: Float[np.ndarray, "n 2"], strip: Strip
-) -> Float[np.ndarray, " n"]:
-    """How far the middle of a joint's two edges lies off its centre line in the picture, along the normal.
-
-    The nearer half of a joint looks wider than the farther one.
-    """
-    half = 0.5 * np.where(stations.family == ALONG_X, strip.width[0], strip.width[1])
-    across = half[:, None] * stations.direction[:, ::-1]
-    places = stations.ground, stations.ground + across, stations.ground - across
-    centre, far, near = (project_ground(camera, pose, place) for place in places)
-    return ((0.5 * (far + near) - centre) * normal).sum(1)
 
 
 def joint_data(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from autoreg.errors import Refusal
+from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.refine import Fit
 from autoreg.rows import Rows
@@ -13,8 +14,9 @@ from autoreg.rows import Rows
 FOCAL_BLAME = 0.05
 # Fewer sides than this are a few joints, however clear.
 FEW_SIDES = 16
-# Courses seen no more aslant than the first, and no farther from level than the second, may be a wall's.
-FRONTAL_DEG, LEVEL_DEG = 25.0, 2.5
+# Courses seen no more aslant than the first, and no farther from level than the second, may be a wall's: the
+# search for the ground cannot drop such a wall for its plumb joints.
+FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(PLUMB_RAD))
 
 
 def no_lattice(best: Paving | None, rows: Rows | None) -> Refusal:

@@ -101,7 +101,7 @@ def solve_joints(data: JointData, free: Float[np.ndarray, " p"], prior: Prior | 
     prior = prior or Prior(np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf))
     with jax.enable_x64(True):
         problem = _Problem(
-            data=jax.device_put(_padded(data)),
+            data=jax.device_put(padded(data, CAPACITY)),
             unit=np.asarray(free, float),
             prior_mean=prior.mean / scale,
             prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma),
@@ -109,11 +109,28 @@ def solve_joints(data: JointData, free: Float[np.ndarray, " p"], prior: Prior | 
         q, state, unit, steps = _minimise(problem)
     distances, jacobian = (np.asarray(v)[:n] for v in state.aux[:2])
     cost = float(state.value)
-    promised = _promised(state)
-    outcome: Outcome = "converged" if promised <= CONVERGED * cost + NOTHING else "stalled"
-    if not np.isfinite(cost):
-        outcome = "diverged"
+    outcome = outcome_of(cost, _promised(state))
     return Solution(outcome, q * unit * scale, cost, distances, jacobian / scale, steps)
+
+
+def outcome_of(cost: float, promised: float) -> Outcome:
+    """How a solve ended, by its last cost and the decrease that a further step promises."""
+    if not np.isfinite(cost):
+        return "diverged"
+    return "converged" if promised <= CONVERGED * cost + NOTHING else "stalled"
+
+
+def padded(data: JointData, rows: int) -> JointData:
+    """The joints filled up to `rows`: by the first, which projects to something finite, without weight."""
+    own = np.arange(rows) < len(data.weight)
+    index = np.where(own, np.arange(rows), 0)
+    whole = JointData(*(np.asarray(v, float) for v in data))
+    return whole._replace(
+        ground=whole.ground[index],
+        measured_px=whole.measured_px[index],
+        normal=whole.normal[index],
+        weight=np.where(own, whole.weight[index], 0.0),
+    )
 
 
 def _minimise(problem: _Problem) -> tuple[np.ndarray, Any, np.ndarray, int]:
@@ -262,19 +279,6 @@ def _example() -> _Problem:
     rows = np.zeros((n, 2))
     data = JointData(rows, rows, rows, np.zeros(n), np.eye(3), np.ones(3), np.zeros(12), np.ones(PARAMETERS))
     return _Problem(data, *(np.zeros(PARAMETERS) for _ in range(3)))
-
-
-def _padded(data: JointData) -> JointData:
-    # A padding row repeats the first joint, so that it projects to something finite, with no weight.
-    n = len(data.weight)
-    rows = np.where(np.arange(CAPACITY) < n, np.arange(CAPACITY), 0)
-    whole = JointData(*(np.asarray(v, float) for v in data))
-    return whole._replace(
-        ground=whole.ground[rows],
-        measured_px=whole.measured_px[rows],
-        normal=whole.normal[rows],
-        weight=np.where(np.arange(CAPACITY) < n, whole.weight[rows], 0.0),
-    )
 
 
 def warm_up() -> None:

@@ -133,11 +133,12 @@ def visible_sides(
     if field is not None:
         near &= inside_convex(middle, field, 0.3 * grid.spacing_y)
     sides = sides.take(np.flatnonzero(near))
-    sides = sides.take(_perhaps_seen(sides, camera, cam_from_ground, min_px))
-    if len(sides) > 3 * limit:
-        size_px = _slab_px(camera, cam_from_ground, grid, sides.ends.mean(1))
-        sides = sides.take(np.sort(np.argsort(-size_px, kind="stable")[: 3 * limit]))
-    sides, px = _clipped(sides, camera, cam_from_ground, border_px)
+    px = project_ground(camera, cam_from_ground, sides.ends)
+    seen = _perhaps_seen(px, camera, min_px)
+    if len(seen) > 3 * limit:
+        size_px = _slab_px(camera, cam_from_ground, grid, sides.ends[seen].mean(1))
+        seen = seen[np.sort(np.argsort(-size_px, kind="stable")[: 3 * limit])]
+    sides, px = _clipped(sides.take(seen), px[seen], camera, cam_from_ground, border_px)
     # The slab across the side, seen from the side's middle.
     across = np.where(sides.family[:, None] == ALONG_X, [[0.0, grid.spacing_y]], [[a, 0.0]])
     beside = project_ground(camera, cam_from_ground, sides.ends.mean(1) + across)
@@ -152,9 +153,8 @@ def visible_sides(
     return sides.take(good)
 
 
-def _perhaps_seen(sides: Sides, camera: Camera, cam_from_ground: Rigid, min_px: float) -> np.ndarray:
+def _perhaps_seen(px: Float[np.ndarray, "n 2 2"], camera: Camera, min_px: float) -> np.ndarray:
     """Index of the sides that may be seen: all but those too short, or clearly beside the picture."""
-    px = project_ground(camera, cam_from_ground, sides.ends)
     size = np.array([camera.width, camera.height])
     with np.errstate(invalid="ignore"):
         length = np.linalg.norm(px[:, 1] - px[:, 0], axis=1)
@@ -190,20 +190,24 @@ def inside_convex(
 
 def _clipped(
     sides: Sides,
+    px: Float[np.ndarray, "n 2 2"],
     camera: Camera,
     cam_from_ground: Rigid,
     border_px: float,
     pieces: int = 8,
     least: float = 0.45,
 ) -> tuple[Sides, Float[np.ndarray, "n 2 2"]]:
-    """The sides cut to the picture, and their ends there; sides seen for less than `least` are left out."""
+    """The sides, whose ends are seen at `px`, cut to the picture, and their ends there.
+
+    Sides seen for less than `least` of their length are left out.
+    """
     far = np.array([camera.width, camera.height]) - 1 - border_px
 
     def inside(px: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore"):
             return np.all((px > border_px) & (px < far), axis=-1)
 
-    ends, px = sides.ends.copy(), project_ground(camera, cam_from_ground, sides.ends)
+    ends, px = sides.ends.copy(), px.copy()
     kept = np.asarray(inside(px).all(1))
     # The others are followed piece by piece.
     cut = np.flatnonzero(~kept)

@@ -16,7 +16,6 @@ from autoreg.presence import (
     best_pattern,
     field_polygon,
     p_llr,
-    possible_fields,
     side_presence,
 )
 from autoreg.refine import Fit
@@ -166,11 +165,11 @@ def test_a_field_in_a_corner_of_the_picture_is_among_the_possible_ones():
     middle = sides.ends.mean(1)
     paved = (middle > 13.0).all(1)
     p = np.where(paved, 0.005, np.random.default_rng(0).uniform(size=len(sides)))
-    *_, (box, price) = possible_fields(_presence(sides, p))
+    *others, (box, price) = _presence(sides, p).possible_fields
     assert paved[box].mean() > 0.95
     assert box[paved].mean() > 0.8
     # All choices together must not be likelier than one.
-    prices = [cost for _, cost in possible_fields(_presence(sides, p))[:-1]]
+    prices = [cost for _, cost in others]
     assert np.exp(-np.array(prices)).sum() + 38 * np.exp(-price) <= 1.0 + 1e-9
 
 
