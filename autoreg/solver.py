@@ -136,15 +136,14 @@ def padded(data: JointData, rows: int) -> JointData:
 def _minimise(problem: _Problem) -> tuple[np.ndarray, Any, np.ndarray, int]:
     """The solver's variables at the minimum, jaxopt's state there, their units, and the steps taken."""
     step = _step()
-    zero = np.zeros(PARAMETERS)
-    blank = _blank_state()
-    _, state = step(zero, blank, problem)
+    q = np.zeros(PARAMETERS)
+    _, state = step(q, _blank_state(), problem)
     # Columns of unit length, since jaxopt's damping is the same for all variables.
     length = np.sqrt(np.diagonal(np.asarray(state.jtj)))
-    unit = np.asarray(problem.unit) / np.where(length > 0, length, 1.0)
+    finer = 1.0 / np.where(length > 0, length, 1.0)
+    unit = np.asarray(problem.unit) * finer
     problem = problem._replace(unit=unit)
-    q, state = step(zero, blank, problem)
-    state = _curved(state._replace(damping_factor=np.float64(FIRST_DAMPING)))
+    state = _curved(_rescaled(state, finer)._replace(damping_factor=np.float64(FIRST_DAMPING)))
     steps = 0
     # A cost that is not finite promises nothing; damping beyond all bounds means that the rest is rounding.
     while (
@@ -160,6 +159,19 @@ def _minimise(problem: _Problem) -> tuple[np.ndarray, Any, np.ndarray, int]:
             # The step left the range of floating point, and jaxopt's blending of old and new lets NaN in.
             state = state._replace(damping_factor=state.damping_factor * 100.0)
     return np.asarray(q), state, unit, steps
+
+
+def _rescaled(state: Any, unit: np.ndarray) -> Any:
+    """The state at zero with its variables in other units: it need not be evaluated again."""
+    jac, both = np.asarray(state.jac) * unit, np.outer(unit, unit)
+    distances, jacobian, curvature = state.aux
+    return state._replace(
+        gradient=np.asarray(state.gradient) * unit,
+        jac=jac,
+        jt=np.ascontiguousarray(jac.T),
+        jtj=np.asarray(state.jtj) * both,
+        aux=(distances, jacobian, np.asarray(curvature) * both),
+    )
 
 
 def _curved(state: Any) -> Any:
@@ -206,7 +218,7 @@ def _evaluate(q: Float[Array, " p"], problem: _Problem) -> _Evaluation:
     p = q * unit
     distances, jacobian = distances_and_jacobian(p, data)
     doubt = distances * data.weight
-    joints, slope = jax.jvp(robust, (doubt,), (jnp.ones_like(doubt),))
+    joints, slope = robust(doubt)
     residual = jnp.concatenate([joints, weight * (p - mean)])
     rows, prior_rows = jacobian * data.weight[:, None] * unit, jnp.diag(weight * unit)
     by_q = jnp.concatenate([rows * slope[:, None], prior_rows])
