@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Float
-from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize
 
 from autoreg.camera import Camera
@@ -98,6 +98,9 @@ def _sharpness(points: _Points, R: np.ndarray, focal: float, axes: tuple[np.ndar
         w = weight[inside]
         size = len(axis) + 1
         histogram = np.bincount(low, w * (1 - part), size) + np.bincount(low + 1, w * part, size)
-        fine = gaussian_filter1d(histogram, 1.0)
-        total += float(((fine - gaussian_filter1d(histogram, 8.0)) ** 2).sum())
+        fine, smooth = (
+            cv2.GaussianBlur(histogram[None], (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
+            for sigma in (1.0, 8.0)
+        )
+        total += float(((fine - smooth) ** 2).sum())
     return total / float(points.weight.sum() ** 2) * 1e3

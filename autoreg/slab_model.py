@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import csr_matrix, diags, hstack, identity
 from scipy.sparse.csgraph import reverse_cuthill_mckee
@@ -44,6 +44,8 @@ SIDE_FLOOR_PX = 0.01
 MISFIT = 2.0
 # A station farther off than this many standard deviations is none of a slab's: it is left out.
 GROSS_SIGMAS = 4.0
+# The sizes of the effects are searched on blocks of so many slabs square, with about so many stations in all.
+BLOCK_SLABS, SEARCHED = 4, 600
 # Height of the bow that even ground may have, as a share of its extent: 3 mm under a straightedge of 2 m.
 BOW = 0.0015
 
@@ -87,8 +89,9 @@ def estimate_motion(
         near: the scatter of an earlier estimate of this photo, near which to search instead of everywhere.
         bow: how far from a plane the ground may be bent, as a share of its extent (standard deviation).
     """
-    model = _Model(fit, mask, prior, bow)
-    sizes, relief = _likeliest_sizes(model, near)
+    rows = np.flatnonzero(fit.usable)
+    sizes, relief = _likeliest_sizes(_Model(fit, mask, prior, bow, _in_blocks(fit, rows)), near)
+    model = _Model(fit, mask, prior, bow, rows)
     for _ in range(2):
         model.reweigh(sizes, relief)
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
@@ -110,6 +113,17 @@ def estimate_motion(
     relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
     place, lift, turn = sizes
     return Estimate(parameters, covariance, Scatter(place, place * lift, place * turn / model.side, relief))
+
+
+def _in_blocks(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
+    """Some of the stations, in whole blocks of slabs spread over the ground: neighbours tell the scatter."""
+    size = BLOCK_SLABS * np.array([fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y])
+    block = np.floor(fit.stations.ground[rows] / size).astype(int)
+    names, member, count = np.unique(block, axis=0, return_inverse=True, return_counts=True)
+    # An order in which near and far blocks, left and right ones follow each other.
+    order = np.argsort((5 * names[:, 0] + 3 * names[:, 1]) % 13, kind="stable")
+    wanted = order[: 1 + int(np.searchsorted(np.cumsum(count[order]), SEARCHED))]
+    return rows[np.isin(member.ravel(), wanted)]
 
 
 _Sizes = tuple[float, float, float]
@@ -154,8 +168,15 @@ class _Normal(NamedTuple):
 class _Model:
     """The linear mixed model of one fit's residuals; sizes are (place, lift / place, turn / place)."""
 
-    def __init__(self, fit: Fit, mask: Float[np.ndarray, " p"], prior: Prior, bow: float) -> None:
-        self.free, self.rows = np.flatnonzero(mask), np.flatnonzero(fit.usable)
+    def __init__(
+        self,
+        fit: Fit,
+        mask: Float[np.ndarray, " p"],
+        prior: Prior,
+        bow: float,
+        rows: Int[np.ndarray, " n"],
+    ) -> None:
+        self.free, self.rows = np.flatnonzero(mask), rows
         J = fit.solution.jacobian[np.ix_(self.rows, self.free)]
         # Columns of unit length keep the normal equations well scaled.
         self.unit = 1.0 / np.maximum(np.linalg.norm(J, axis=0), 1e-12)

@@ -23,6 +23,7 @@ from jaxtyping import Array, Float
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     from jaxopt import LevenbergMarquardt
+    from jaxopt._src.levenberg_marquardt import LevenbergMarquardtState
 
 from autoreg.residuals import PARAMETERS, JointData, Numbers, distances_and_jacobian, robust, robust_curvature
 
@@ -193,12 +194,13 @@ class _Evaluation(NamedTuple):
     seen: tuple[Float[Array, " n"], Float[Array, "n p"], Float[Array, "p p"]]
 
 
+@jax.jit
 def _evaluate(q: Float[Array, " p"], problem: _Problem) -> _Evaluation:
     """Robust residuals with those of the prior, their derivatives by q, and what is seen beside them.
 
     That is the joints' own distances and derivatives, and the cost's second derivatives by q (without the
-    bending of the projection, which small distances make negligible). jaxopt asks for the parts one by one;
-    the compiler merges the repeated calls.
+    bending of the projection, which small distances make negligible). jaxopt asks for the parts one by one:
+    they are traced once, and the compiler merges the repeated calls.
     """
     data, unit, mean, weight = problem
     p = q * unit
@@ -236,12 +238,25 @@ def _solver() -> LevenbergMarquardt:
 def _blank_state() -> Any:
     """A state from which an update stays where it is and only evaluates: infinite cost, and no gradient.
 
-    jaxopt's own first state would need a second copy of the evaluation to be compiled.
+    jaxopt's own first state would need a second copy of the evaluation to be traced and compiled.
     """
-    shapes = jax.eval_shape(_solver().init_state, np.zeros(PARAMETERS), _example())
-    blank = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
-    one, two, most = np.float64(1.0), np.float64(2.0), np.float64(np.inf)
-    return blank._replace(value=most, damping_factor=one, increase_factor=two)
+    n, p = CAPACITY, PARAMETERS
+    rows = n + p
+    return LevenbergMarquardtState(
+        iter_num=np.int64(0),
+        damping_factor=np.float64(1.0),
+        increase_factor=np.float64(2.0),
+        residual=np.zeros(rows),
+        value=np.float64(np.inf),
+        delta=np.zeros(p),
+        error=np.float64(0.0),
+        gradient=np.zeros(p),
+        jac=np.zeros((rows, p)),
+        jt=np.zeros((p, rows)),
+        jtj=np.zeros((p, p)),
+        hess_res=None,
+        aux=(np.zeros(n), np.zeros((n, p)), np.zeros((p, p))),
+    )
 
 
 _COMPILING = threading.Lock()
