@@ -153,10 +153,6 @@ class Camera:
         k1, k2, p1, p2, k3, k4, k5, k6 = self.dist
         return replace(self, cx=self.width - 1 - self.cx, dist=(k1, k2, p1, -p2, k3, k4, k5, k6))
 
-    def undistorted(self) -> Camera:
-        """The camera with the same K and no distortion."""
-        return replace(self, dist=(0.0,) * 8)
-
 
 def same_aspect(width_a: int, height_a: int, width_b: int, height_b: int) -> bool:
     """Whether b is a scaled by one factor, each side of b rounded by at most a pixel."""

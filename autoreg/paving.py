@@ -86,6 +86,7 @@ class PlaneCombs:
 
 
 Hypothesis = tuple[Camera, Float[np.ndarray, "3 3"]]
+_Interval = tuple[float, float]
 
 
 def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:
@@ -153,10 +154,13 @@ def _zoomed(look: Look, plane: PlaneCombs) -> PlaneCombs | None:
     return replace(plane, x=x_combs, y=y_combs)
 
 
-def _within(comb: Comb, lines: tuple[float, float], along: tuple[float, float]) -> Comb:
+def _within(comb: Comb, lines: _Interval, along: _Interval) -> Comb:
     """A comb with its field cut to a part of the ground."""
-    cut = ((max(a[0], b[0]), min(a[1], b[1])) for a, b in ((comb.lines, lines), (comb.along, along)))
-    return replace(comb, lines=next(cut), along=next(cut))
+    return replace(comb, lines=_overlap(comb.lines, lines), along=_overlap(comb.along, along))
+
+
+def _overlap(a: _Interval, b: _Interval) -> _Interval:
+    return max(a[0], b[0]), min(a[1], b[1])
 
 
 def lay_combs(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:

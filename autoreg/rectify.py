@@ -18,8 +18,6 @@ from jaxtyping import Bool, Float, Float32
 
 from autoreg.camera import Camera
 
-# A slab side that leans on fewer samples than this says nothing.
-MIN_SAMPLES = 4
 # Gradients far below the picture's own noise floor are not amplified, in grey levels per pixel.
 FLAT_GRADIENT = 0.15
 

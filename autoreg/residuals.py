@@ -93,12 +93,6 @@ def joint_distance(
     return (project(projection.intrinsics, point_cam) - measured_px) @ normal
 
 
-def joint_distances(parameters: Float[Array, " p"], data: JointData) -> Float[Array, " n"]:
-    """Signed distance in pixels, across the joint, of each projected joint from where it was measured."""
-    every = jax.vmap(joint_distance, in_axes=(None, 0, 0, 0))
-    return every(moved_projection(parameters, data), data.ground, data.measured_px, data.normal)
-
-
 def distances_and_jacobian(
     parameters: Float[Array, " p"], data: JointData
 ) -> tuple[Float[Array, " n"], Float[Array, "n p"]]:

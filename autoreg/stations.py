@@ -196,7 +196,7 @@ def _clipped(
     border_px: float,
     pieces: int = 8,
     least: float = 0.45,
-) -> tuple[Sides, Float[np.ndarray, "n 2 2"]]:
+) -> tuple[Sides, Float[np.ndarray, "m 2 2"]]:
     """The sides, whose ends are seen at `px`, cut to the picture, and their ends there.
 
     Sides seen for less than `least` of their length are left out.

@@ -52,16 +52,6 @@ def settle(fit: Fit) -> Settled:
     return Settled(moved, _on_camera_side(estimate.covariance, pose), estimate.scatter)
 
 
-def pose_covariance(fit: Fit) -> Float[np.ndarray, "6 6"]:
-    """Covariance of (rotation vector, translation) of a small motion on the camera's side.
-
-    It is of the fit's own pose: what the mixed model leaves open, and how far it would move the fit.
-    """
-    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera))
-    away = np.outer(estimate.parameters, estimate.parameters)
-    return _on_camera_side(estimate.covariance + away, fit.cam_from_ground)
-
-
 def _on_camera_side(covariance: Float[np.ndarray, "p p"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
     """The pose's part, where the solve's rotation turns the translation as well: t = exp(w) t0 + dt."""
     A = np.eye(6)

@@ -56,11 +56,6 @@ class View:
         """The camera's place in the ground frame."""
         return self.cam_from_ground.origin_in_a
 
-    @property
-    def pinhole(self) -> View:
-        """The same view through a lens without distortion."""
-        return replace(self, camera=self.camera.undistorted())
-
     def scaled(self, scale: float) -> View:
         """The same view in a picture `scale` times as large to the nearest whole pixel."""
         c = self.camera

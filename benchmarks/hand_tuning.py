@@ -34,7 +34,6 @@ from benchmarks.raytrace.files import camera_file
 from benchmarks.raytrace.picture import take
 from benchmarks.raytrace.scene import Paving, Scene
 
-LIMIT_PX = 0.5
 WIDTH, HEIGHT = 4896, 2752
 CAMERA = Camera(WIDTH, HEIGHT, 3720.0, 3726.0, 2472.0, 1359.0, (-0.06, 0.03, 2e-4, -3e-4))
 CROP = (1310, 0, 2752, 2752)

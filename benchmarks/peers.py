@@ -5,7 +5,6 @@ Every peer gets the same segments and the same rounds of matching, from the same
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
@@ -41,15 +40,6 @@ class Edges:
 
     def __len__(self) -> int:
         return len(self.ends_px)
-
-
-@dataclass(frozen=True)
-class Solved:
-    """A peer's pose, and what its solves took of the processor, in milliseconds."""
-
-    cam_from_ground: Rigid
-    last_solve_ms: float
-    segments: int
 
 
 def lsd_segments(
@@ -135,18 +125,15 @@ Solve = Callable[[Edges, Camera, Rigid], Rigid]
 
 def refine_with(
     solve: Solve, segments: tuple[np.ndarray, np.ndarray], scene: SyntheticScene, start: Rigid
-) -> Solved | None:
-    """A peer's refinement: match, solve, match more narrowly; None if too little matches."""
-    pose, took, edges = start, 0.0, None
+) -> Rigid | None:
+    """The pose by a peer's refinement: match, solve, match more narrowly; None if too little matches."""
+    pose = start
     for gate in GATES_PX:
         edges = match_edges(*segments, scene, pose, gate)
         if len(edges) < 6:
             return None
-        began = time.process_time()
         pose = solve(edges, scene.camera, pose)
-        took = 1e3 * (time.process_time() - began)
-    assert edges is not None
-    return Solved(pose, took, len(edges))
+    return pose
 
 
 def solve_poselib(edges: Edges, camera: Camera, start: Rigid) -> Rigid:

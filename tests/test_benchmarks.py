@@ -392,7 +392,7 @@ def test_a_peer_finds_the_pose_from_segments_matched_by_contrast(
     start = nudged(true, 0.5, 0.01, np.random.default_rng(2))
     found = refine_with(solve_scipy if name == "scipy" else solve_poselib, segments, printed, start)
     assert found is not None
-    assert crossings_error_px(found.cam_from_ground, printed, crossings_of(printed)) < 0.03
+    assert crossings_error_px(found, printed, crossings_of(printed)) < 0.03
 
 
 def test_segments_of_the_other_contrast_match_the_other_edge(

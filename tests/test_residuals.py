@@ -5,6 +5,7 @@ import pytest
 from handmade import LENS, looking
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plain_residuals import joint_distances
 
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
@@ -18,7 +19,6 @@ from autoreg.residuals import (
     TRANSLATION,
     JointData,
     distances_and_jacobian,
-    joint_distances,
     moved_projection,
     project,
     robust,

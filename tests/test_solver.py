@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from handmade import looking
+from plain_residuals import joint_distances
 from scipy.optimize import least_squares
 
 from autoreg import solver
@@ -24,7 +25,6 @@ from autoreg.residuals import (
     ROTATION,
     TRANSLATION,
     JointData,
-    joint_distances,
     robust,
 )
 from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Prior, solve_joints

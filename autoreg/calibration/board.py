@@ -68,11 +68,6 @@ class Board:
         """Number of inner corners."""
         return self.columns * self.rows
 
-    @property
-    def half_turn_differs(self) -> bool:
-        """Whether the colours tell the board from itself turned by 180°."""
-        return (self.columns + self.rows) % 2 == 1
-
     @cached_property
     def points(self) -> Float[np.ndarray, "n 3"]:
         """Places of the inner corners on the flat sheet, row by row."""

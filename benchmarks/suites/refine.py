@@ -111,8 +111,7 @@ def run(options: Options) -> Result:
         segments = lsd_segments(gray)
         found: dict[str, Rigid | None] = {"autoreg": ours(gray, scene, start)}
         for name, solve in peers():
-            done = refine_with(solve, segments, scene, start)
-            found[name] = None if done is None else done.cam_from_ground
+            found[name] = refine_with(solve, segments, scene, start)
         for name, pose in found.items():
             if pose is not None:
                 angle = float(np.rad2deg(angle_between_rotations(pose.R, true.R)))
