@@ -23,24 +23,23 @@ from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
-from autoreg.image import as_gray, pyramid
+from autoreg.image import as_gray
 from autoreg.lattice_choice import Paving, presented, rival, suited
 from autoreg.paving import (
     CERTAIN_NATS,
     Hypothesis,
-    Looks,
     PlaneCombs,
     comb_planes,
     lay_combs,
     lay_lattice,
-    looks_at,
     promising_plane,
 )
 from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit, refine_until_still
 from autoreg.refusals import ambiguous, camera_contradicted, maybe_wall, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows, lay_rows
-from autoreg.segments import Segments, detect_segments
+from autoreg.segments import Segments
+from autoreg.sight import Looks, Sight, see
 from autoreg.solver import warm_up
 from autoreg.stations import Grid
 from autoreg.uncertainty import check_camera, settle
@@ -49,8 +48,6 @@ __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align",
 
 Source = Literal["file", "exif", "photo"]
 
-# Joints are found at this size, and measured at the photo's own.
-DETECTION_PIXELS = 600_000
 # Ground hypotheses that are taken from the segments, with a camera and without, and how many of them are
 # looked into, those with the clearest joints first.
 HYPOTHESES, HYPOTHESES_NO_FOCAL, MOST_PLANES = 8, 12, 3
@@ -86,13 +83,31 @@ def align(
         Refusal: the photo does not carry the answer; the reason is in its code and message.
         ValueError: an argument is out of range.
     """
-    gray = as_gray(photo)
+    return align_seen(
+        see(as_gray(photo)), camera, slab=slab, camera_height=camera_height, exif_focal_px=exif_focal_px
+    )
+
+
+def align_seen(
+    sight: Sight,
+    camera: Camera | None,
+    *,
+    slab: tuple[float, float] | None = None,
+    camera_height: float | None = None,
+    exif_focal_px: float | None = None,
+) -> Alignment:
+    """Like `align`, of a photo that is looked at already.
+
+    Raises:
+        Refusal: the photo does not carry the answer.
+        ValueError: an argument is out of range.
+    """
+    gray, looks, segments = sight.gray, sight.looks, sight.segments
     height, width = gray.shape
     _check_arguments(camera, width, height, slab, camera_height)
     source: Source = "file" if camera is not None else "photo"
     if camera is None and exif_focal_px is not None:
         camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
-    looks, segments = looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detect_segments(gray)
     size = width, height
     try:
         found = find_paving(looks, segments, size, camera, slab)

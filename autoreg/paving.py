@@ -10,21 +10,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float
 
 from autoreg.bond import BondHypothesis, bond_hypotheses
 from autoreg.camera import Camera
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned
-from autoreg.image import pyramid
 from autoreg.lattice_choice import Paving, hopeful, settle_bond
 from autoreg.periods import Comb, best_combs
 from autoreg.presence import field_polygon, presence_of
-from autoreg.rectify import Gradient, Window, near_reach, picture_gradient, rectify
+from autoreg.rectify import Window, near_reach, rectify
 from autoreg.refine import Fit, refine
 from autoreg.segments import Segments
 from autoreg.sharpen import sharpen
+from autoreg.sight import Look, Looks
 from autoreg.stations import Grid
 
 # Beyond this margin no other start is tried.
@@ -41,33 +41,10 @@ SHARPENED = 6
 ZOOM_MARGIN, ZOOM_NATS = 2.0, 2.0
 # Sides that tell whether a start is worth following.
 GLANCE_SIDES = 600
-# Size of the first look, and its and the second look's numbers of rows on the ground.
-COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
 # Planes whose joints carry less than this are not worth another start, ...
 HOPELESS_NATS = 8.0
 # ... and the first one is tried before all others are looked at, if it carries this much.
 PROMISING_NATS = 15.0
-
-
-@dataclass(frozen=True)
-class Look:
-    """A picture's gradient, and the number of rows and columns that sample the ground from it."""
-
-    gradient: Gradient
-    lines: int
-
-
-@dataclass(frozen=True)
-class Looks:
-    """A photo at detection scale: its grey levels, and a coarse and a fine look at it.
-
-    Directions of rough joints, and lenses that bend them, leave lines some pixels askew, which blurs a fine
-    profile of the ground more than a coarse one.
-    """
-
-    picture: Float32[np.ndarray, "h w"]
-    coarse: Look
-    fine: Look
 
 
 @dataclass(frozen=True)
@@ -87,14 +64,6 @@ class PlaneCombs:
 
 Hypothesis = tuple[Camera, Float[np.ndarray, "3 3"]]
 _Interval = tuple[float, float]
-
-
-def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:
-    """Both looks at a picture at detection scale."""
-    coarse = picture_gradient(pyramid(small, COARSE_PIXELS)[0])
-    return Looks(
-        small.astype(np.float32), Look(coarse, COARSE_LINES), Look(picture_gradient(small), FINE_LINES)
-    )
 
 
 def promising_plane(looks: Looks, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
