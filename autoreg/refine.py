@@ -45,6 +45,8 @@ FAINT = 0.1
 SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 # ... and where nothing is known of the joints.
 UNKNOWN_HALF_PX = 16.0
+# A motion by less than this share of the joints' median distance from their lines does not matter.
+STILL_SHARE = 0.02
 # Grey levels that even the deepest shadow has.
 DARK = 8.0
 
@@ -128,7 +130,10 @@ def refine_until_still(
     still_px: float = 0.003,
     most_rounds: int = 6,
 ) -> Fit | None:
-    """Like `refine` at one reach, measured again until no joint moves by more than `still_px` (RMS)."""
+    """Like `refine` at one reach, measured again until no joint moves by more than `still_px` (RMS).
+
+    Where the joints lie less even, a part of how far they are off their lines is still enough.
+    """
     fit: Fit | None = None
     for _ in range(most_rounds):
         before = (camera, cam_from_ground, grid)
@@ -137,7 +142,8 @@ def refine_until_still(
             return None
         settled = strip is not None and fit.strip.like(strip)
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
-        if not search and settled and _motion_px(fit, *before) < still_px:
+        enough_px = max(still_px, STILL_SHARE * float(np.median(np.abs(fit.distances_px[fit.usable]))))
+        if not search and settled and _motion_px(fit, *before) < enough_px:
             break
         search = 0.0
     return fit
