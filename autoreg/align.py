@@ -247,7 +247,9 @@ def _concluded(
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
     rested = settle(fit)
-    check = check_camera(fit, picture, field_polygon(settled.presence), rested.scatter)
+    # A camera that comes from the joints themselves is nothing that they could contradict.
+    asked = None if source == "photo" else picture
+    check = check_camera(fit, asked, field_polygon(settled.presence), rested.scatter)
     # The model of irregular slabs knows the turn better, the plain joints the place: the relief of sunk
     # joints that it allows for is hard to tell from a shift of them all.
     fit = rested.fit if fit.grid.spacing_x is None else recentred(rested.fit)

@@ -6,7 +6,9 @@ joints themselves; then the presence of every single slab side tells the bond.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,15 +81,23 @@ def comb_planes(
 
     Those that are clearest as they came are sharpened, and looked at again.
     """
-    raw = (_combed(looks.fine, *hypothesis) for hypothesis in hypotheses)
-    planes = sorted((plane for plane in raw if plane is not None), key=lambda plane: -plane.score)
-    for k, plane in enumerate(planes[:SHARPENED]):
-        sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
-        again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
-        best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
-        near = _zoomed(looks.fine, best)
-        planes[k] = near if near is not None and near.score > best.score else best
-    return sorted(planes, key=lambda plane: -plane.score)
+    # Most of it is done in numpy and OpenCV, which lets the planes go side by side.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        raw = list(pool.map(lambda hypothesis: _combed(looks.fine, *hypothesis), hypotheses))
+        planes = sorted((plane for plane in raw if plane is not None), key=lambda plane: -plane.score)
+        again = pool.map(
+            lambda plane: _sharpened(looks, segments, plane, free_focal=free_focal), planes[:SHARPENED]
+        )
+        return sorted([*again, *planes[SHARPENED:]], key=lambda plane: -plane.score)
+
+
+def _sharpened(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_focal: bool) -> PlaneCombs:
+    """The plane with its joints lined up, looked at again as a whole and where they are clearest."""
+    sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
+    again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
+    best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
+    near = _zoomed(looks.fine, best)
+    return near if near is not None and near.score > best.score else best
 
 
 def _combed(

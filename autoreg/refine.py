@@ -215,7 +215,7 @@ def _round(
     # While joints are searched the next round solves again.
     for _ in range(1 if search else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
-        solution = solve_joints(data, free.mask, free.prior(camera))
+        solution = solve_joints(data, free.mask, free.prior(camera), rough=search > 0)
         moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
         if solution.outcome == "diverged" or not _plausible(moved, new_grid):
             return fit

@@ -33,10 +33,11 @@ CAPACITY = 2048
 # A joint that lies this many standard deviations off counts half.
 CAUCHY_SIGMAS = 2.4
 
-MOST_STEPS = 50
-# Shares of the cost that a further step may promise: below the first it is not taken, below the second the
-# solve counts as converged.
-STOP, CONVERGED = 1e-10, 1e-6
+# A solve takes at most so many steps, and none that promises less than this share of the cost; below the last
+# share it counts as converged. Where joints are still searched, a rough solve will do.
+MOST_STEPS, STOP = 50, 1e-10
+ROUGH_STEPS, ROUGH_STOP = 12, 1e-5
+CONVERGED = 1e-6
 # A cost this small is rounding. Residuals are in units of what is doubted, so the cost has no unit.
 NOTHING = 1e-15
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-10, 1e6
@@ -83,13 +84,16 @@ class _Problem(NamedTuple):
     prior_weight: Float[Numbers, " p"]
 
 
-def solve_joints(data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None) -> Solution:
+def solve_joints(
+    data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None, *, rough: bool = False
+) -> Solution:
     """Pose (and what else `free` marks with ones) that lays the projected joints on the measured ones.
 
     Args:
         data: measured joints, at least one and at most `CAPACITY`.
         free: one for each parameter to solve for, zero for each to keep.
         prior: what is known of the parameters beforehand.
+        rough: whether the joints will be measured and solved again, so that near the minimum is enough.
 
     Raises:
         ValueError: no joint, or more than `CAPACITY`.
@@ -106,7 +110,7 @@ def solve_joints(data: JointData, free: Float[np.ndarray, " p"], prior: Prior | 
             prior_mean=prior.mean / scale,
             prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma),
         )
-        q, state, unit, steps = _minimise(problem)
+        q, state, unit, steps = _minimise(problem, rough)
     distances, jacobian = (np.asarray(v)[:n] for v in state.aux[:2])
     cost = float(state.value)
     outcome = outcome_of(cost, _promised(state))
@@ -133,7 +137,7 @@ def padded(data: JointData, rows: int) -> JointData:
     )
 
 
-def _minimise(problem: _Problem) -> tuple[np.ndarray, Any, np.ndarray, int]:
+def _minimise(problem: _Problem, rough: bool) -> tuple[np.ndarray, Any, np.ndarray, int]:
     """The solver's variables at the minimum, jaxopt's state there, their units, and the steps taken."""
     step = _step()
     q = np.zeros(PARAMETERS)
@@ -144,11 +148,12 @@ def _minimise(problem: _Problem) -> tuple[np.ndarray, Any, np.ndarray, int]:
     unit = np.asarray(problem.unit) * finer
     problem = problem._replace(unit=unit)
     state = _curved(_rescaled(state, finer)._replace(damping_factor=np.float64(FIRST_DAMPING)))
+    most_steps, stop = (ROUGH_STEPS, ROUGH_STOP) if rough else (MOST_STEPS, STOP)
     steps = 0
     # A cost that is not finite promises nothing; damping beyond all bounds means that the rest is rounding.
     while (
-        steps < MOST_STEPS
-        and _promised(state) > STOP * float(state.value) + NOTHING
+        steps < most_steps
+        and _promised(state) > stop * float(state.value) + NOTHING
         and state.damping_factor < MOST_DAMPING
     ):
         steps += 1
