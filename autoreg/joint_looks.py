@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
 from autoreg.edges import Offsets, fit_offsets, search_offsets, strip_misfits
@@ -29,6 +29,8 @@ MOST_NEUTRAL = 0.05
 # A strip has one tone more than a step to fit noise with, of about ten independent values: what that buys, in
 # mean log variance; and the part of the variance that it must explain, lest it only bend a step's shape.
 NO_JOINT_BONUS, NO_JOINT_GAIN = 0.1, 0.01
+# Edges up and down that tell how far bright tiles bloom: so many of either, and such a share of a family's.
+LEAST_KIND, KIND_SHARE = 8, 0.2
 # Stations of either family that tell the looks.
 SAMPLE = 90
 
@@ -221,3 +223,25 @@ def _lowest(log_at: np.ndarray, cost: np.ndarray) -> float:
     bend = (y2 - y1) / (x2 - x1) - (y1 - y0) / (x1 - x0)
     slope = (y2 - y0) / (x2 - x0)
     return float(np.exp(np.clip(x1 - 0.5 * slope * (x2 - x0) / max(bend, 1e-12), x0, x2)))
+
+
+def bloom_px(
+    offsets: Offsets, stations: Stations, strip: Strip, usable: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """How far each station's offset is pushed towards the darker slab, where tiles meet without a joint.
+
+    A blurred edge whose brighter side is overexposed, or that was blurred before the light was encoded by a
+    curve, looks displaced: all bright tiles look larger. The two kinds of edge, up and down, tell it by the
+    difference of their offsets, each family by itself; where a family has one kind alone it cannot be told.
+    """
+    up = np.sign(offsets.step)
+    bloom = np.zeros(len(up))
+    for family in (ALONG_X, ALONG_Y):
+        if strip.polarity[family] != 0:
+            continue
+        members = usable & (stations.family == family)
+        kinds = [offsets.offset_px[members & (up == way)] for way in (1.0, -1.0)]
+        if min(len(kind) for kind in kinds) >= max(LEAST_KIND, KIND_SHARE * members.sum()):
+            half = 0.5 * float(np.median(kinds[0]) - np.median(kinds[1]))
+            bloom += half * up * (stations.family == family)
+    return bloom

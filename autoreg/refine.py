@@ -13,6 +13,7 @@ from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
 from autoreg.joint_looks import (
     Strip,
+    bloom_px,
     estimate_strip,
     first_look,
     joint_polarity,
@@ -207,9 +208,10 @@ def _round(
         start = offsets.offset_px
     assert offsets is not None
     assert usable is not None
-    offsets = replace(
-        offsets, offset_px=offsets.offset_px - middle_px(camera, pose, stations, profiles.normal, strip)
-    )
+    middle = middle_px(camera, pose, stations, profiles.normal, strip)
+    offsets = replace(offsets, offset_px=offsets.offset_px - middle)
+    bloom = bloom_px(offsets, stations, strip, usable)
+    offsets = replace(offsets, offset_px=offsets.offset_px - bloom)
     sigma = np.hypot(offsets.sigma_px, 0.3)
     fit: Fit | None = None
     # While joints are searched the next round solves again.

@@ -46,6 +46,8 @@ MISFIT = 2.0
 GROSS_SIGMAS = 4.0
 # The sizes of the effects are searched on blocks of so many slabs square, with about so many stations in all.
 BLOCK_SLABS, SEARCHED = 4, 600
+# How much larger bright tiles may look that meet without a joint, beyond what the fit has taken off already.
+BLOOM_PX = 0.1
 # Height of the bow that even ground may have, as a share of its extent: 3 mm under a straightedge of 2 m.
 BOW = 0.0015
 
@@ -196,9 +198,11 @@ class _Model:
         self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
         relief, bent = _relief_effects(fit, self.rows), bow * _bow_effects(fit, self.rows)
+        bloom = BLOOM_PX * _bloom_effects(fit, self.rows)
         # Which of these columns are scaled by the size of the relief.
-        self.relief = np.repeat([True, False], [relief.shape[1], bent.shape[1]])
-        self.columns = np.c_[J * self.unit, relief, bent, self.off]
+        counts = [effect.shape[1] for effect in (relief, bent, bloom)]
+        self.relief = np.repeat([True, False, False], counts)
+        self.columns = np.c_[J * self.unit, relief, bent, bloom, self.off]
         self.weight = 1.0 / (1.0 + (self.off / (CAUCHY_SIGMAS * fit.sigma_px[self.rows])) ** 2)
         self._weigh()
 
@@ -346,6 +350,13 @@ def _relief_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n r"]:
     # The same covariance in fewer columns.
     U, size, _ = np.linalg.svd(np.stack(columns, 1), full_matrices=False)
     return (U * size)[:, size > 0.01 * size[0]]
+
+
+def _bloom_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n r"]:
+    """Pixels that each station moves where bright tiles look larger by one, for families without joints."""
+    up, family = np.sign(fit.offsets.step[rows]), fit.stations.family[rows]
+    bare = [own for own in (ALONG_X, ALONG_Y) if fit.strip.polarity[own] == 0]
+    return (up * (family == np.array(bare)[:, None])).T if bare else np.zeros((len(rows), 0))
 
 
 def _bow_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n 3"]:

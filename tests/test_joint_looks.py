@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from paved import CHECKER, gray_of, misses, nudged, true_grid
+
+from autoreg.edges import Offsets
+from autoreg.freedom import Free
+from autoreg.joint_looks import Strip, bloom_px
+from autoreg.refine import Fit, refine
+from autoreg.stations import Stations
+from autoreg.synthetic import SyntheticPhoto, render_paving
+from autoreg.uncertainty import settle
+
+BARE = Strip((0.001, 0.001), 0.9, (0, 0), True)
+
+
+def stations_of(family: np.ndarray) -> Stations:
+    n, zero = len(family), np.zeros(len(family), int)
+    return Stations(np.zeros((n, 2)), np.ones(n), family, zero, zero, np.arange(n))
+
+
+def offsets_of(offset: np.ndarray, step: np.ndarray) -> Offsets:
+    one = np.ones(len(offset))
+    return Offsets(offset, 0.05 * one, 0.0 * one, step, one)
+
+
+@pytest.fixture(scope="module")
+def overexposed() -> SyntheticPhoto:
+    """A checker floor whose bright tiles are blown out: blurred in the lens, then clipped."""
+    photo = render_paving(replace(CHECKER, noise_grey=0.5, texture=0.0, tone_spread=0.0, colour=False))
+    light = cv2.GaussianBlur(photo.pixels.astype(np.float32), (0, 0), 1.2)
+    return replace(photo, pixels=np.clip(2.0 * light - 30.0, 0, 255).astype(np.uint8))
+
+
+def fit_to(photo: SyntheticPhoto) -> Fit:
+    start = nudged(photo.cam_from_ground, turn_deg=0.2, move_m=0.005)
+    fit = refine(
+        gray_of(photo), photo.camera, start, true_grid(photo),
+        free=Free(), search=0.1, reaches=(3.0, 6.0, 9.0, 9.0),
+    )  # fmt: skip
+    assert fit is not None
+    return fit
+
+
+def test_the_bloom_is_half_of_what_edges_up_and_down_differ_by():
+    rng = np.random.default_rng(3)
+    family, step = np.repeat([0, 1], 40), np.tile([30.0, -50.0], 40)
+    # Whatever pushes a family as a whole is the pose's business.
+    common = np.where(family == 0, 0.4, -0.7)
+    offset = common + np.sign(step) * np.where(family == 0, 0.25, 0.1) + rng.normal(0, 0.001, 80)
+    bloom = bloom_px(offsets_of(offset, step), stations_of(family), BARE, np.ones(80, bool))
+    np.testing.assert_allclose(bloom, np.sign(step) * np.where(family == 0, 0.25, 0.1), atol=1e-3)
+
+
+def test_joints_that_are_dark_or_light_do_not_bloom():
+    family, step = np.repeat([0, 1], 40), np.tile([30.0, -50.0], 40)
+    offsets = offsets_of(0.3 * np.sign(step), step)
+    lined = replace(BARE, polarity=(-1, 0))
+    bloom = bloom_px(offsets, stations_of(family), lined, np.ones(80, bool))
+    np.testing.assert_allclose(bloom, np.where(family == 0, 0.0, 0.3 * np.sign(step)))
+
+
+def test_edges_of_one_kind_alone_tell_no_bloom():
+    family, step = np.zeros(80, int), np.where(np.arange(80) < 70, 40.0, -40.0)
+    offsets = offsets_of(0.3 * np.sign(step), step)
+    assert not bloom_px(offsets, stations_of(family), BARE, np.ones(80, bool)).any()
+    # Nor do those that could not be measured.
+    even = np.tile([40.0, -40.0], 40)
+    usable = (np.arange(80) % 2 == 0) | (np.arange(80) < 4)
+    assert not bloom_px(offsets_of(0.3 * np.sign(even), even), stations_of(family), BARE, usable).any()
+
+
+def test_overexposed_tiles_look_larger_and_their_joints_still_lie_on_their_lines(overexposed: SyntheticPhoto):
+    fit = fit_to(overexposed)
+    taken_off = bloom_px(
+        replace(fit.offsets, offset_px=-fit.distances_px), fit.stations, fit.strip, fit.usable
+    )
+    assert np.abs(taken_off).max() < 0.02
+    assert np.median(np.abs(fit.distances_px[fit.usable])) < 0.06
+
+
+def test_overexposed_tiles_are_not_taken_for_crooked_ones(overexposed: SyntheticPhoto):
+    settled = settle(fit_to(overexposed))
+    angle_deg, crossing_px = misses(settled.fit.cam_from_ground, CHECKER.spacing_m, overexposed)
+    assert angle_deg < 0.02
+    assert crossing_px < 0.1
+    assert settled.scatter.place < 0.0005 * settled.fit.grid.spacing_y
