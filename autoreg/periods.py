@@ -8,7 +8,9 @@ nor twice the true spacing can win.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -114,34 +116,44 @@ def line_z(
 
 @dataclass(frozen=True)
 class Lines:
-    """The lines of combs: those of spacing s are `count[s]` rows from `start[s]`, a column is a phase.
+    """The lines of combs; a column is a phase.
 
-    `index` is each line's place in a table that is finer than the rows, so that no row need be searched for.
+    The first lines of all spacings come first, then the second ones of those that have them, and so on:
+    `block[k]` is where the lines number k begin, and `order` the spacings, those of the most lines first. So
+    sums along combs are sums of whole blocks. `place` is the row of the profile that each line is looked up
+    in, or one beyond them all where a line is outside, or too near to the next one to be told from it.
     """
 
     spacing: Float[np.ndarray, " s"]
-    start: Int32[np.ndarray, " s"]
-    count: Int32[np.ndarray, " s"]
     first: Int32[np.ndarray, " s"]
-    index: Int32[np.ndarray, "lines phases"]
-    outside: Bool[np.ndarray, "lines phases"]
-    row: Int[np.ndarray, " t"]
-    step: Float[np.ndarray, " t"]
+    count: Int32[np.ndarray, " s"]
+    order: Int[np.ndarray, " s"]
+    block: Int[np.ndarray, " k"]
+    place: Int[np.ndarray, "lines phases"]
 
     def gain(
         self, llr: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]
-    ) -> tuple[Float32[np.ndarray, "lines phases"], Bool[np.ndarray, "lines phases"]]:
-        """Log likelihood ratio of each line, and whether it is seen and can be told from the next one."""
-        known = valid[self.row]
-        value = np.where(known, llr[self.row], 0.0).astype(np.float32)
-        finest = np.where(known, MIN_STEP * self.step, np.inf).astype(np.float32)
-        spacing = np.repeat(self.spacing, self.count).astype(np.float32)[:, None]
-        told = (finest[self.index] <= spacing) & ~self.outside
-        return value[self.index] * told, told
+    ) -> Float32[np.ndarray, "lines phases"]:
+        """Log likelihood ratio of each line; zero where it is not seen."""
+        return np.append(np.where(valid, llr, 0.0), 0.0).astype(np.float32)[self.place]
 
-    def of(self, s: int) -> slice:
+    def seen(self, valid: Bool[np.ndarray, " n"]) -> Float32[np.ndarray, "lines phases"]:
+        """One for each line that is seen, else zero."""
+        return np.append(valid, False).astype(np.float32)[self.place]
+
+    def blocks(self, values: np.ndarray) -> Iterator[np.ndarray]:
+        """The rows of each line number, from the first one on."""
+        return (values[a:b] for a, b in pairwise((*self.block.tolist(), len(values))))
+
+    def sorted(self, values: np.ndarray) -> np.ndarray:
+        """Values of the spacings by `order`, put back in their own order."""
+        placed = np.empty_like(values)
+        placed[self.order] = values
+        return placed
+
+    def of(self, s: int) -> Int[np.ndarray, " k"]:
         """The rows of one spacing."""
-        return slice(int(self.start[s]), int(self.start[s] + self.count[s]))
+        return self.block[: self.count[s]] + int(np.flatnonzero(self.order == s)[0])
 
 
 def predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray, " s"]) -> Lines:
@@ -150,28 +162,31 @@ def predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray,
     row = np.rint(np.interp(np.linspace(low, high, TABLE), offset, np.arange(len(offset)))).astype(int)
     first = np.floor(low / spacings).astype(np.int32)
     count = np.floor(high / spacings).astype(np.int32) + 1 - first
-    start = (np.cumsum(count) - count).astype(np.int32)
-    line = np.arange(count.sum(), dtype=np.int32) - np.repeat(start - first, count)
+    order = np.argsort(-count, kind="stable")
+    active = np.searchsorted(-count[order], -np.arange(count.max()))
+    block = np.cumsum(active) - active
+    member = order[np.concatenate([np.arange(n) for n in active])]
+    line = (first[member] + np.repeat(np.arange(len(active)), active)).astype(np.float32)
     scale = (TABLE - 1) / (high - low)
-    spacing = np.repeat(spacings * scale, count).astype(np.float32)[:, None]
+    spacing = spacings[member].astype(np.float32)[:, None]
     phase = np.arange(PHASES, dtype=np.float32) / PHASES
-    index = np.rint((line[:, None] + phase) * spacing - np.float32(low * scale)).astype(np.int32)
-    outside = (index < 0) | (index >= TABLE)
-    index[outside] = 0
-    return Lines(spacings, start, count, first, index, outside, row, np.gradient(offset)[row])
+    index = np.rint((line[:, None] + phase) * (spacing * np.float32(scale)) - np.float32(low * scale))
+    inside = (index >= 0) & (index < TABLE)
+    index = np.where(inside, index, 0.0).astype(np.intp)
+    finest = (MIN_STEP * np.gradient(offset)[row]).astype(np.float32)
+    place = np.where(inside & (finest[index] <= spacing), row[index], len(offset))
+    return Lines(spacings, first, count, order, block, place)
 
 
 def comb_scores(
-    lines: Lines,
-    gain: Float32[np.ndarray, "lines phases"],
-    told: Bool[np.ndarray, "lines phases"],
-    *,
-    min_lines: int = 2,
+    lines: Lines, llr: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"], *, min_lines: int = 2
 ) -> Float[np.ndarray, "s phases"]:
     """Sum of the log likelihood ratios of every predicted line, for each spacing and phase."""
-    total = np.add.reduceat(gain, lines.start, axis=0)
-    count = np.add.reduceat(told.astype(np.float32), lines.start, axis=0)
-    return np.where(count >= min_lines, total, -np.inf).astype(float)
+    total, count = np.zeros((2, len(lines.order), PHASES), np.float32)
+    for sums, values in ((total, lines.gain(llr, valid)), (count, lines.seen(valid))):
+        for block in lines.blocks(values):
+            sums[: len(block)] += block
+    return lines.sorted(np.where(count >= min_lines, total, -np.inf).astype(float))
 
 
 def _run_scores(lines: Lines, gain: Float32[np.ndarray, "lines phases"]) -> Float32[np.ndarray, "s phases"]:
@@ -179,17 +194,13 @@ def _run_scores(lines: Lines, gain: Float32[np.ndarray, "lines phases"]) -> Floa
 
     Paving may end before the picture does.
     """
-    order = np.argsort(-lines.count, kind="stable")
-    start, count = lines.start[order], lines.count[order]
-    running = np.zeros((len(start), PHASES), np.float32)
-    best = np.zeros_like(running)
-    for k in range(int(count[0])):
-        active = int(np.searchsorted(-count, -k))
-        running[:active] = np.maximum(running[:active] + gain[start[:active] + k], 0.0)
-        np.maximum(best[:active], running[:active], out=best[:active])
-    scores = np.empty_like(best)
-    scores[order] = best
-    return scores
+    running, best = np.zeros((2, len(lines.order), PHASES), np.float32)
+    for block in lines.blocks(gain):
+        now, most = running[: len(block)], best[: len(block)]
+        now += block
+        np.maximum(now, 0.0, out=now)
+        np.maximum(most, now, out=most)
+    return lines.sorted(best)
 
 
 def _best_run(gain: Float32[np.ndarray, " n"]) -> tuple[int, int]:
@@ -212,13 +223,13 @@ def best_combs(family: Family, *, count: int = 4, local: bool = False) -> tuple[
         return ()
     spacings = _spacings(family.offset, valid)
     lines = predicted_lines(family.offset, spacings)
-    gain, told = lines.gain(blurred(log_likelihood_ratio(z)), valid)
-    found = list(distinct(spacings, comb_scores(lines, gain, told), count))
+    scores = comb_scores(lines, blurred(log_likelihood_ratio(z)), valid)
+    found = list(distinct(spacings, scores, count))
     for window in WINDOWS if local else ():
         z, valid = line_z(support, counted, window)
         if valid.sum() < 20:
             continue
-        gain, _ = lines.gain(blurred(log_likelihood_ratio(z)), valid)
+        gain = lines.gain(blurred(log_likelihood_ratio(z)), valid)
         cost = np.log(len(WINDOWS)) + np.log(lines.count)[:, None]
         ends = np.array(window) * (len(family.along) - 1)
         along = tuple(np.interp(ends, np.arange(len(family.along)), family.along).tolist())

@@ -260,7 +260,7 @@ def _blank_state() -> Any:
     n, p = CAPACITY, PARAMETERS
     rows = n + p
     return LevenbergMarquardtState(
-        iter_num=np.int64(0),
+        iter_num=np.int64(0),  # pyright: ignore[reportArgumentType]  # a number of the array library
         damping_factor=np.float64(1.0),
         increase_factor=np.float64(2.0),
         residual=np.zeros(rows),

@@ -41,7 +41,7 @@ def family(spacing_rows: float | None, phase_rows: float = 0.0, *, missing: int 
 def scored(llr: np.ndarray, spacings: np.ndarray) -> np.ndarray:
     """Scores of combs on lines that are all seen, a unit apart."""
     lines = predicted_lines(np.arange(float(len(llr))), spacings)
-    return comb_scores(lines, *lines.gain(llr, np.ones(len(llr), bool)))
+    return comb_scores(lines, llr, np.ones(len(llr), bool))
 
 
 @given(st.floats(12.0, 90.0), st.floats(0.0, 1.0))
