@@ -22,15 +22,14 @@ from autoreg.corrections import recentred, with_measured_shift
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
-from autoreg.image import as_gray, pyramid
+from autoreg.image import as_gray
 from autoreg.lattice_choice import Paving, presented
-from autoreg.paving import looks_at
 from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit, refine_until_still
 from autoreg.refusals import maybe_wall, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows
 from autoreg.search import RADIAL_SIGMA, explained, find_paving
-from autoreg.segments import detect_segments
+from autoreg.sight import Sight, see
 from autoreg.solver import warm_up
 from autoreg.stations import Grid
 from autoreg.uncertainty import check_camera, settle
@@ -39,8 +38,6 @@ __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align",
 
 Source = Literal["file", "exif", "photo"]
 
-# Joints are found at this size, and measured at the photo's own.
-DETECTION_PIXELS = 600_000
 # What else is known of an uncalibrated camera: logarithm of its focal length with and without EXIF (the
 # latter about one picture width), and the principal point as a share of the long side.
 EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA = 0.05, 0.5, 0.012
@@ -71,13 +68,31 @@ def align(
         Refusal: the photo does not carry the answer; the reason is in its code and message.
         ValueError: an argument is out of range.
     """
-    gray = as_gray(photo)
+    return align_seen(
+        see(as_gray(photo)), camera, slab=slab, camera_height=camera_height, exif_focal_px=exif_focal_px
+    )
+
+
+def align_seen(
+    sight: Sight,
+    camera: Camera | None,
+    *,
+    slab: tuple[float, float] | None = None,
+    camera_height: float | None = None,
+    exif_focal_px: float | None = None,
+) -> Alignment:
+    """Like `align`, of a photo that is looked at already.
+
+    Raises:
+        Refusal: the photo does not carry the answer.
+        ValueError: an argument is out of range.
+    """
+    gray, looks, segments = sight.gray, sight.looks, sight.segments
     height, width = gray.shape
     _check_arguments(camera, width, height, slab, camera_height)
     source: Source = "file" if camera is not None else "photo"
     if camera is None and exif_focal_px is not None:
         camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
-    looks, segments = looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detect_segments(gray)
     size = width, height
     try:
         found = find_paving(looks, segments, size, camera, slab)
@@ -142,7 +157,9 @@ def _concluded(
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
     rested = settle(fit)
-    check = check_camera(fit, picture, field_polygon(settled.presence), rested.scatter)
+    # A camera that comes from the joints themselves is nothing that they could contradict.
+    asked = None if source == "photo" else picture
+    check = check_camera(fit, asked, field_polygon(settled.presence), rested.scatter)
     # The model of irregular slabs knows the turn better, the plain joints the place: the relief of sunk
     # joints that it allows for is hard to tell from a shift of them all.
     fit = rested.fit if fit.grid.spacing_x is None else recentred(rested.fit)

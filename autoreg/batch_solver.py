@@ -168,7 +168,7 @@ def _weighted(q: Array, columns: tuple[int, ...], problem: _Problem) -> tuple[Ar
     data = problem.data
     distances, outer, inner = _slopes(_whole(q * problem.unit, columns), columns, data)
     doubt = distances * data.weight
-    _, slope = jax.jvp(robust, (doubt,), (jnp.ones_like(doubt),))
+    _, slope = robust(doubt)
     return doubt, slope, (outer * jnp.asarray(data.weight)[:, None]) @ (inner * problem.unit)
 
 
@@ -177,7 +177,7 @@ def _at(q: Array, columns: tuple[int, ...], problem: _Problem, damping: Array, s
     doubt, slope, J = _weighted(q, columns, problem)
     known = problem.prior_weight * problem.unit
     off = problem.prior_weight * (q * problem.unit - problem.prior_mean)
-    r = robust(doubt)
+    r, _ = robust(doubt)
     cost, gradient = 0.5 * (r @ r + off @ off), J.T @ (r * slope) + known * off
     newton = J.T @ (J * robust_curvature(doubt)[:, None]) + jnp.diag(known**2)
     normal = J.T @ (J * (slope**2)[:, None]) + jnp.diag(known**2)

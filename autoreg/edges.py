@@ -188,8 +188,10 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 class _Strip:
     """The strip model on some profiles: tones are the heights of the near and of the far edge."""
 
-    def __init__(self, values: np.ndarray, weight: np.ndarray, width: np.ndarray, blur: float) -> None:
-        self.weight, self.half, self.blur = weight, 0.5 * width[:, None], np.float32(blur)
+    def __init__(
+        self, values: np.ndarray, weight: np.ndarray, width: np.ndarray, blur: float | np.ndarray
+    ) -> None:
+        self.weight, self.half, self.blur = weight, 0.5 * width[:, None], _single(np.asarray(blur))
         self.samples = weight.sum(1, keepdims=True)
         self.values = self._centred(values)
 
@@ -260,13 +262,26 @@ def strip_support(
     return support
 
 
-def strip_misfit(
-    profiles: Profiles, rows: np.ndarray, offset_px: np.ndarray, width_px: np.ndarray, blur: float
-) -> float:
-    """Mean logarithm of the unexplained variance of some stations' profiles, for a joint width and a blur."""
-    values = profiles.values[rows]
-    inside = np.abs(profiles.at_px) <= profiles.room_px[rows, None]
-    strip = _Strip(values, inside.astype(np.float32), _single(width_px[rows]), blur)
-    strip.at(_single(profiles.at_px) - _single(offset_px[rows])[:, None])
+def strip_misfits(
+    profiles: Profiles,
+    rows: Int[np.ndarray, " n"],
+    offset_px: Float[np.ndarray, " n"],
+    width_px: Float[np.ndarray, "k n"],
+    blur: Float[np.ndarray, " k"],
+) -> Float[np.ndarray, " k"]:
+    """Mean logarithm of some stations' unexplained variance, for each of several widths and blurs.
+
+    `offset_px` is where the joints of those stations lie.
+    """
+    k, n = width_px.shape
+    inside = (np.abs(profiles.at_px) <= profiles.room_px[rows, None]).astype(np.float32)
+    # All at once: the arrays are small, and each operation on them has its price.
+    strip = _Strip(
+        np.tile(profiles.values[rows], (k, 1)),
+        np.tile(inside, (k, 1)),
+        _single(width_px.ravel()),
+        np.repeat(_single(blur), n)[:, None],
+    )
+    strip.at(np.tile(_single(profiles.at_px) - _single(offset_px)[:, None], (k, 1)))
     left, total = (_dot(strip.weight * v, v) for v in (strip.misfit, strip.values))
-    return float(np.mean(np.log(left / np.maximum(total, 1e-9) + 1e-3)))
+    return np.log(left / np.maximum(total, 1e-9) + 1e-3).reshape(k, n).mean(1).astype(float)

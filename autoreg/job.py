@@ -21,6 +21,7 @@ from autoreg.overlay import overlay_picture
 from autoreg.render_job import Wish, make_plan, read_wish, render_into, write_scene
 from autoreg.rendering.render import EngineName
 from autoreg.report import Report, aligned_report, refused_report, report_text
+from autoreg.sight import see
 
 # The picture that autoreg brings along, and the sides of the slabs in it.
 DEMO_NAME, DEMO_SLAB_M = "terrace", (0.5, 0.5)
@@ -104,10 +105,12 @@ def run_job(job: Job, listener: Listener) -> Outcome:
     photo = load_photo(job.photo)
     camera = _camera_for(job, photo, listener)
     listener.doing("aligning")
+    # Looked at while jax is imported and the solver compiled.
+    sight = see(photo.gray)
     pipeline = import_module("autoreg.align")
     try:
-        alignment: Alignment = pipeline.align(
-            photo.gray,
+        alignment: Alignment = pipeline.align_seen(
+            sight,
             camera,
             slab=job.slab,
             camera_height=job.camera_height,

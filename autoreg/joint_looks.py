@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.camera import Camera
-from autoreg.edges import Offsets, fit_offsets, search_offsets, strip_misfit
+from autoreg.edges import Offsets, fit_offsets, search_offsets, strip_misfits
 from autoreg.geometry import Rigid
 from autoreg.profiles import Profiles
 from autoreg.stations import ALONG_X, ALONG_Y, Stations, project_ground
@@ -169,9 +169,10 @@ def estimate_strip(
         if strip.polarity[family] == 0:
             # Between tones that only step up and down, a wide strip fits whatever else is near.
             options = options[options < MOST_NEUTRAL * across]
-        widths_px = [w * profiles.px_per_unit for w in options]
-        costs = [strip_misfit(profiles, rows, offsets.offset_px, w, blur) for w in widths_px]
-        width[family] = _lowest(np.log(options), np.array(costs))
+        widths_px = options[:, None] * profiles.px_per_unit[rows]
+        known_blur = np.full(len(options), blur)
+        costs = strip_misfits(profiles, rows, offsets.offset_px[rows], widths_px, known_blur)
+        width[family] = _lowest(np.log(options), costs)
         if strip.polarity[family] == 0:
             # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
             # The two ideas are each given their own offsets and blur before they are compared.
@@ -183,10 +184,10 @@ def estimate_strip(
                 width[family] = NO_JOINT * across
     rows = np.concatenate(samples)
     strip = replace(strip, width=(width[0], width[1]))
-    width_px = width_px_of(strip, stations, profiles)
     blurs = BLURS if thorough else np.clip(blur * NEARBY, BLURS[0], BLURS[-1])
-    costs = [strip_misfit(profiles, rows, offsets.offset_px, width_px, float(b)) for b in blurs]
-    return replace(strip, blur_px=_lowest(np.log(blurs), np.array(costs)))
+    widths_px = np.tile(width_px_of(strip, stations, profiles)[rows], (len(blurs), 1))
+    costs = strip_misfits(profiles, rows, offsets.offset_px[rows], widths_px, blurs)
+    return replace(strip, blur_px=_lowest(np.log(blurs), costs))
 
 
 def _sample(mask: np.ndarray) -> np.ndarray:
@@ -201,7 +202,8 @@ def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: f
     misfits: list[float] = []
     for wider in (1.0, 1.3, 1.7):
         own = fit_offsets(profiles, start_px, width_px, wider * blur, iterations=4)
-        misfits.append(strip_misfit(profiles, rows, own.offset_px, width_px, wider * blur))
+        blurs = np.array([wider * blur])
+        misfits.append(float(strip_misfits(profiles, rows, own.offset_px, width_px[None], blurs)[0]))
     return min(misfits)
 
 

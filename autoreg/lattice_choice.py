@@ -35,8 +35,8 @@ RIVAL_NATS = 3.0
 SUBDIVIDE_NATS = 6.0
 # How much better than a lattice a pattern of its absent sides must explain them to speak against it.
 DEPARTS_NATS = 10.0
-# Sides that tell it, the largest in the picture.
-SUBDIVIDE_SIDES = 500
+# Sides that tell it, the largest in the picture, and places between them that they are held against.
+SUBDIVIDE_SIDES, SUBDIVIDE_CONTROLS = 360, 900
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,10 @@ def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
             a = grid.spacing_x / (factor if family == ALONG_Y else 1)
             b = grid.spacing_y / (factor if family == ALONG_X else 1)
             fine = replace(fit, grid=Grid(a, b, (grid.shift * factor) % 1.0 if grid.shift else 0.0))
-            best = best_pattern(presence_of(picture, fine, limit=SUBDIVIDE_SIDES, only=family), family)
+            presence = presence_of(
+                picture, fine, limit=SUBDIVIDE_SIDES, only=family, controls_wanted=SUBDIVIDE_CONTROLS
+            )
+            best = best_pattern(presence, family)
             same = (factor, _carry(grid, factor), 0)
             known = next(p for p in best if (p.period, p.advance, p.phase) == same)
             if best[0].score - known.score > SUBDIVIDE_NATS:

@@ -6,25 +6,27 @@ joints themselves; then the presence of every single slab side tells the bond.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float
 
 from autoreg.bond import BondHypothesis, bond_hypotheses
 from autoreg.camera import Camera
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned
-from autoreg.image import pyramid
 from autoreg.lattice_choice import Paving, hopeful, settle_bond
 from autoreg.periods import Comb, best_combs
 from autoreg.presence import field_polygon, presence_of
-from autoreg.rectify import Gradient, Window, near_reach, picture_gradient, rectify
+from autoreg.rectify import Window, near_reach, rectify
 from autoreg.refine import Fit, refine
 from autoreg.segments import Segments
 from autoreg.sharpen import sharpen
+from autoreg.sight import Look, Looks
 from autoreg.stations import Grid
 
 # Beyond this margin no other start is tried.
@@ -41,33 +43,10 @@ SHARPENED = 6
 ZOOM_MARGIN, ZOOM_NATS = 2.0, 2.0
 # Sides that tell whether a start is worth following.
 GLANCE_SIDES = 600
-# Size of the first look, and its and the second look's numbers of rows on the ground.
-COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
 # Planes whose joints carry less than this are not worth another start, ...
 HOPELESS_NATS = 8.0
 # ... and the first one is tried before all others are looked at, if it carries this much.
 PROMISING_NATS = 15.0
-
-
-@dataclass(frozen=True)
-class Look:
-    """A picture's gradient, and the number of rows and columns that sample the ground from it."""
-
-    gradient: Gradient
-    lines: int
-
-
-@dataclass(frozen=True)
-class Looks:
-    """A photo at detection scale: its grey levels, and a coarse and a fine look at it.
-
-    Directions of rough joints, and lenses that bend them, leave lines some pixels askew, which blurs a fine
-    profile of the ground more than a coarse one.
-    """
-
-    picture: Float32[np.ndarray, "h w"]
-    coarse: Look
-    fine: Look
 
 
 @dataclass(frozen=True)
@@ -89,14 +68,6 @@ Hypothesis = tuple[Camera, Float[np.ndarray, "3 3"]]
 _Interval = tuple[float, float]
 
 
-def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:
-    """Both looks at a picture at detection scale."""
-    coarse = picture_gradient(pyramid(small, COARSE_PIXELS)[0])
-    return Looks(
-        small.astype(np.float32), Look(coarse, COARSE_LINES), Look(picture_gradient(small), FINE_LINES)
-    )
-
-
 def promising_plane(looks: Looks, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
     """The first hypothesis, if its joints are clear as it came."""
     plane = _combed(looks.fine, *hypotheses[0], local=False) if hypotheses else None
@@ -110,15 +81,23 @@ def comb_planes(
 
     Those that are clearest as they came are sharpened, and looked at again.
     """
-    raw = (_combed(looks.fine, *hypothesis) for hypothesis in hypotheses)
-    planes = sorted((plane for plane in raw if plane is not None), key=lambda plane: -plane.score)
-    for k, plane in enumerate(planes[:SHARPENED]):
-        sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
-        again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
-        best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
-        near = _zoomed(looks.fine, best)
-        planes[k] = near if near is not None and near.score > best.score else best
-    return sorted(planes, key=lambda plane: -plane.score)
+    # Most of it is done in numpy and OpenCV, which lets the planes go side by side.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        raw = list(pool.map(lambda hypothesis: _combed(looks.fine, *hypothesis), hypotheses))
+        planes = sorted((plane for plane in raw if plane is not None), key=lambda plane: -plane.score)
+        again = pool.map(
+            lambda plane: _sharpened(looks, segments, plane, free_focal=free_focal), planes[:SHARPENED]
+        )
+        return sorted([*again, *planes[SHARPENED:]], key=lambda plane: -plane.score)
+
+
+def _sharpened(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_focal: bool) -> PlaneCombs:
+    """The plane with its joints lined up, looked at again as a whole and where they are clearest."""
+    sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
+    again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
+    best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
+    near = _zoomed(looks.fine, best)
+    return near if near is not None and near.score > best.score else best
 
 
 def _combed(

@@ -132,6 +132,7 @@ def side_presence(
     tolerance_px: float = 1.5,
     limit: int = 1200,
     only: int | None = None,
+    controls_wanted: int = CONTROLS_WANTED,
 ) -> Presence:
     """How well each visible side of a lattice, or of its one family `only`, is supported by the picture."""
     sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit)
@@ -142,7 +143,7 @@ def side_presence(
     across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
     middle, half = sides.ends.mean(1), 0.4 * np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1)
-    controls = int(np.clip(np.ceil(CONTROLS_WANTED / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
+    controls = int(np.clip(np.ceil(controls_wanted / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
     places = [middle + f * across[:, None] * direction for f in (0.0, *np.linspace(*CONTROL_RANGE, controls))]
     repeat = len(places)
     stations = Stations(
@@ -180,11 +181,23 @@ def side_presence(
 
 
 def presence_of(
-    picture: Float[np.ndarray, "h w"], fit: Fit, *, limit: int = 1200, only: int | None = None
+    picture: Float[np.ndarray, "h w"],
+    fit: Fit,
+    *,
+    limit: int = 1200,
+    only: int | None = None,
+    controls_wanted: int = CONTROLS_WANTED,
 ) -> Presence:
     """How well each visible side of a fit's lattice is supported by the picture of its camera."""
     return side_presence(
-        picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, limit=limit, only=only
+        picture,
+        fit.camera,
+        fit.cam_from_ground,
+        fit.grid,
+        fit.strip,
+        limit=limit,
+        only=only,
+        controls_wanted=controls_wanted,
     )
 
 

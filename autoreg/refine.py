@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -46,6 +45,8 @@ FAINT = 0.1
 SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 # ... and where nothing is known of the joints.
 UNKNOWN_HALF_PX = 16.0
+# A motion by less than this share of the joints' median distance from their lines does not matter.
+STILL_SHARE = 0.02
 # Grey levels that even the deepest shadow has.
 DARK = 8.0
 
@@ -129,7 +130,10 @@ def refine_until_still(
     still_px: float = 0.003,
     most_rounds: int = 6,
 ) -> Fit | None:
-    """Like `refine` at one reach, measured again until no joint moves by more than `still_px` (RMS)."""
+    """Like `refine` at one reach, measured again until no joint moves by more than `still_px` (RMS).
+
+    Where the joints lie less even, a part of how far they are off their lines is still enough.
+    """
     fit: Fit | None = None
     for _ in range(most_rounds):
         before = (camera, cam_from_ground, grid)
@@ -138,7 +142,8 @@ def refine_until_still(
             return None
         settled = strip is not None and fit.strip.like(strip)
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
-        if not search and settled and _motion_px(fit, *before) < still_px:
+        enough_px = max(still_px, STILL_SHARE * float(np.median(np.abs(fit.distances_px[fit.usable]))))
+        if not search and settled and _motion_px(fit, *before) < enough_px:
             break
         search = 0.0
     return fit
@@ -192,16 +197,16 @@ def _round(
     else:
         start = np.zeros(len(stations))
     widest_px = 2 * (half - SHOULDERS_PX + 3.0)
-    measured: tuple[Offsets, np.ndarray, Strip] | None = None
-    for last in (False, True):
-        # Looks that are known change little: they are measured where the joints are found to be.
-        looks = "known" if known and not last else "near" if known else "unknown"
-        measured = _measured(profiles, stations, start, strip, widest_px, reach_px, side, looks)
+    # Joints of unknown looks are measured again with the looks that the first measurement told.
+    offsets, usable = None, None
+    for _ in range(1 if known else 2):
+        measured = _measured(profiles, stations, start, strip, widest_px, reach_px, side, known=known)
         if measured is None:
             return None
-        start, strip = measured[0].offset_px, measured[2]
-    assert measured is not None
-    offsets, usable, strip = measured
+        offsets, usable, strip = measured
+        start = offsets.offset_px
+    assert offsets is not None
+    assert usable is not None
     offsets = replace(
         offsets, offset_px=offsets.offset_px - middle_px(camera, pose, stations, profiles.normal, strip)
     )
@@ -210,7 +215,7 @@ def _round(
     # While joints are searched the next round solves again.
     for _ in range(1 if search else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
-        solution = solve_joints(data, free.mask, free.prior(camera))
+        solution = solve_joints(data, free.mask, free.prior(camera), rough=search > 0)
         moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
         if solution.outcome == "diverged" or not _plausible(moved, new_grid):
             return fit
@@ -250,14 +255,18 @@ def _measured(
     widest_px: np.ndarray,
     reach_px: np.ndarray,
     side: np.ndarray,
-    looks: Literal["known", "near", "unknown"],
+    *,
+    known: bool,
 ) -> tuple[Offsets, np.ndarray, Strip] | None:
-    """Offsets from a start, which of them can be used, and the joints' looks by those; None if too few."""
+    """Offsets from a start, which of them can be used, and the joints' looks by those; None if too few.
+
+    Looks that are `known` change little.
+    """
     width_px = width_px_of(strip, stations, profiles)
     offsets = fit_offsets(profiles, start, np.minimum(width_px, widest_px), strip.blur_px)
     usable = (offsets.strength > 0.25) & np.isfinite(offsets.offset_px)
     usable &= np.abs(offsets.offset_px) < reach_px + 1.5
-    if looks != "unknown":
+    if known:
         # A strip that is too narrow holds on to one edge.
         usable &= width_px <= widest_px
     polarity = strip.polarity
@@ -271,9 +280,7 @@ def _measured(
     if usable.sum() < 12:
         return None
     strip = replace(strip, polarity=polarity)
-    if looks != "known":
-        thorough = looks == "unknown"
-        strip = estimate_strip(profiles, offsets, stations, strip, usable, side, thorough=thorough)
+    strip = estimate_strip(profiles, offsets, stations, strip, usable, side, thorough=not known)
     return offsets, usable, strip
 
 

@@ -102,19 +102,27 @@ def distances_and_jacobian(
     them from the parameters. Either way alone takes two to three times as long.
     """
     every = jax.vmap(jax.value_and_grad(joint_distance), in_axes=(None, 0, 0, 0))
-    projection = moved_projection(parameters, data)
+    inner, projection = jax.jacfwd(_moved_twice, has_aux=True)(parameters, data)
     distances, outer = every(projection, data.ground, data.measured_px, data.normal)
-    inner = jax.jacfwd(moved_projection)(parameters, data)
     jacobian = jnp.einsum("nij,ijp->np", outer.cam_from_plane, inner.cam_from_plane)
     return distances, jacobian + outer.intrinsics @ inner.intrinsics
 
 
-def robust(r: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Residuals whose squares are Cauchy's loss log(1 + r^2); the sign is kept, so they stay smooth at 0."""
+def _moved_twice(parameters: Float[Array, " p"], data: JointData) -> tuple[Projection, Projection]:
+    projection = moved_projection(parameters, data)
+    return projection, projection
+
+
+def robust(r: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Residuals whose squares are Cauchy's loss log(1 + r^2), and their derivatives by r.
+
+    The sign is kept, so they stay smooth at 0.
+    """
     square = r * r
     small = square < 1e-8
     safe = jnp.where(small, 1.0, square)
-    return r * jnp.where(small, 1.0 - 0.25 * square, jnp.sqrt(jnp.log1p(safe) / safe))
+    share = jnp.where(small, 1.0 - 0.25 * square, jnp.sqrt(jnp.log1p(safe) / safe))
+    return r * share, 1.0 / ((1.0 + square) * share)
 
 
 def robust_curvature(r: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -13,7 +13,6 @@ from autoreg.lattice_choice import Paving, rival, suited
 from autoreg.paving import (
     CERTAIN_NATS,
     Hypothesis,
-    Looks,
     PlaneCombs,
     comb_planes,
     lay_combs,
@@ -23,6 +22,7 @@ from autoreg.paving import (
 from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.rows import Rows, lay_rows
 from autoreg.segments import Segments
+from autoreg.sight import Looks
 
 # Ground hypotheses that are taken from the segments, with a camera and without, and how many of them are
 # looked into, those with the clearest joints first.

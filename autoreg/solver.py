@@ -33,10 +33,11 @@ CAPACITY = 2048
 # A joint that lies this many standard deviations off counts half.
 CAUCHY_SIGMAS = 2.4
 
-MOST_STEPS = 50
-# Shares of the cost that a further step may promise: below the first it is not taken, below the second the
-# solve counts as converged.
-STOP, CONVERGED = 1e-10, 1e-6
+# A solve takes at most so many steps, and none that promises less than this share of the cost; below the last
+# share it counts as converged. Where joints are still searched, a rough solve will do.
+MOST_STEPS, STOP = 50, 1e-10
+ROUGH_STEPS, ROUGH_STOP = 12, 1e-5
+CONVERGED = 1e-6
 # A cost this small is rounding. Residuals are in units of what is doubted, so the cost has no unit.
 NOTHING = 1e-15
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-10, 1e6
@@ -83,13 +84,16 @@ class _Problem(NamedTuple):
     prior_weight: Float[Numbers, " p"]
 
 
-def solve_joints(data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None) -> Solution:
+def solve_joints(
+    data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None, *, rough: bool = False
+) -> Solution:
     """Pose (and what else `free` marks with ones) that lays the projected joints on the measured ones.
 
     Args:
         data: measured joints, at least one and at most `CAPACITY`.
         free: one for each parameter to solve for, zero for each to keep.
         prior: what is known of the parameters beforehand.
+        rough: whether the joints will be measured and solved again, so that near the minimum is enough.
 
     Raises:
         ValueError: no joint, or more than `CAPACITY`.
@@ -106,7 +110,7 @@ def solve_joints(data: JointData, free: Float[np.ndarray, " p"], prior: Prior | 
             prior_mean=prior.mean / scale,
             prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma),
         )
-        q, state, unit, steps = _minimise(problem)
+        q, state, unit, steps = _minimise(problem, rough)
     distances, jacobian = (np.asarray(v)[:n] for v in state.aux[:2])
     cost = float(state.value)
     outcome = outcome_of(cost, _promised(state))
@@ -133,23 +137,23 @@ def padded(data: JointData, rows: int) -> JointData:
     )
 
 
-def _minimise(problem: _Problem) -> tuple[np.ndarray, Any, np.ndarray, int]:
+def _minimise(problem: _Problem, rough: bool) -> tuple[np.ndarray, Any, np.ndarray, int]:
     """The solver's variables at the minimum, jaxopt's state there, their units, and the steps taken."""
     step = _step()
-    zero = np.zeros(PARAMETERS)
-    blank = _blank_state()
-    _, state = step(zero, blank, problem)
+    q = np.zeros(PARAMETERS)
+    _, state = step(q, _blank_state(), problem)
     # Columns of unit length, since jaxopt's damping is the same for all variables.
     length = np.sqrt(np.diagonal(np.asarray(state.jtj)))
-    unit = np.asarray(problem.unit) / np.where(length > 0, length, 1.0)
+    finer = 1.0 / np.where(length > 0, length, 1.0)
+    unit = np.asarray(problem.unit) * finer
     problem = problem._replace(unit=unit)
-    q, state = step(zero, blank, problem)
-    state = _curved(state._replace(damping_factor=np.float64(FIRST_DAMPING)))
+    state = _curved(_rescaled(state, finer)._replace(damping_factor=np.float64(FIRST_DAMPING)))
+    most_steps, stop = (ROUGH_STEPS, ROUGH_STOP) if rough else (MOST_STEPS, STOP)
     steps = 0
     # A cost that is not finite promises nothing; damping beyond all bounds means that the rest is rounding.
     while (
-        steps < MOST_STEPS
-        and _promised(state) > STOP * float(state.value) + NOTHING
+        steps < most_steps
+        and _promised(state) > stop * float(state.value) + NOTHING
         and state.damping_factor < MOST_DAMPING
     ):
         steps += 1
@@ -160,6 +164,19 @@ def _minimise(problem: _Problem) -> tuple[np.ndarray, Any, np.ndarray, int]:
             # The step left the range of floating point, and jaxopt's blending of old and new lets NaN in.
             state = state._replace(damping_factor=state.damping_factor * 100.0)
     return np.asarray(q), state, unit, steps
+
+
+def _rescaled(state: Any, unit: np.ndarray) -> Any:
+    """The state at zero with its variables in other units: it need not be evaluated again."""
+    jac, both = np.asarray(state.jac) * unit, np.outer(unit, unit)
+    distances, jacobian, curvature = state.aux
+    return state._replace(
+        gradient=np.asarray(state.gradient) * unit,
+        jac=jac,
+        jt=np.ascontiguousarray(jac.T),
+        jtj=np.asarray(state.jtj) * both,
+        aux=(distances, jacobian, np.asarray(curvature) * both),
+    )
 
 
 def _curved(state: Any) -> Any:
@@ -206,7 +223,7 @@ def _evaluate(q: Float[Array, " p"], problem: _Problem) -> _Evaluation:
     p = q * unit
     distances, jacobian = distances_and_jacobian(p, data)
     doubt = distances * data.weight
-    joints, slope = jax.jvp(robust, (doubt,), (jnp.ones_like(doubt),))
+    joints, slope = robust(doubt)
     residual = jnp.concatenate([joints, weight * (p - mean)])
     rows, prior_rows = jacobian * data.weight[:, None] * unit, jnp.diag(weight * unit)
     by_q = jnp.concatenate([rows * slope[:, None], prior_rows])

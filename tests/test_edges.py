@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from autoreg.camera import Camera
-from autoreg.edges import fit_offsets, search_offsets, strip_misfit, strip_support
+from autoreg.edges import fit_offsets, search_offsets, strip_misfits, strip_support
 from autoreg.profiles import STEP_PX, Profiles, sample_profiles
 from autoreg.stations import ALONG_X, ALONG_Y, Stations
 from autoreg.synthetic import look_at_ground
@@ -186,7 +186,8 @@ def test_the_misfit_is_lowest_at_the_true_width_and_blur():
     profiles = profiles_of(*values)
     offsets = fit_offsets(profiles, np.zeros(20), each(3.0, profiles), 1.0).offset_px
     rows = np.arange(20)
-    by_width = [strip_misfit(profiles, rows, offsets, each(w, profiles), 1.0) for w in (2.0, 3.0, 4.0)]
-    by_blur = [strip_misfit(profiles, rows, offsets, each(3.0, profiles), b) for b in (0.6, 1.0, 1.6)]
+    widths = np.array([each(w, profiles) for w in (2.0, 3.0, 4.0)])
+    by_width = strip_misfits(profiles, rows, offsets, widths, np.full(3, 1.0))
+    by_blur = strip_misfits(profiles, rows, offsets, widths[[1, 1, 1]], np.array([0.6, 1.0, 1.6]))
     assert np.argmin(by_width) == 1
     assert np.argmin(by_blur) == 1

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from paved import CAMERA, STACK
 
-from autoreg.paving import PlaneCombs, comb_planes, looks_at
+from autoreg.paving import PlaneCombs, comb_planes
 from autoreg.rows import Rows, lay_rows
 from autoreg.segments import Segments, detect_segments
+from autoreg.sight import looks_at
 
 PX_PER_M, EXTENT_M = 160, 8.0
 JOINT, SLAB = 70, 150

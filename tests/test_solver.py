@@ -88,7 +88,7 @@ def solved_pose(data: JointData, parameters: np.ndarray) -> Rigid:
 
 @jax.jit
 def robust_joints(p: jax.Array, data: JointData) -> jax.Array:
-    return robust(joint_distances(p, data) * data.weight)
+    return robust(joint_distances(p, data) * data.weight)[0]
 
 
 robust_slopes = jax.jit(jax.jacfwd(robust_joints))

@@ -1,0 +1,60 @@
+"""What is seen of a photo before anything is known of its ground: its segments, and looks at its gradient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from autoreg.image import pyramid
+from autoreg.rectify import Gradient, picture_gradient
+from autoreg.segments import Segments, detect_segments
+
+# Joints are found at this size, and measured at the photo's own.
+DETECTION_PIXELS = 600_000
+# Size of the first look, and its and the second look's numbers of rows on the ground.
+COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
+
+
+@dataclass(frozen=True)
+class Look:
+    """A picture's gradient, and the number of rows and columns that sample the ground from it."""
+
+    gradient: Gradient
+    lines: int
+
+
+@dataclass(frozen=True)
+class Looks:
+    """A photo at detection scale: its grey levels, and a coarse and a fine look at it.
+
+    Directions of rough joints, and lenses that bend them, leave lines some pixels askew, which blurs a fine
+    profile of the ground more than a coarse one.
+    """
+
+    picture: Float32[np.ndarray, "h w"]
+    coarse: Look
+    fine: Look
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A photo's grey levels, its looks at detection scale, and its segments in its own pixels."""
+
+    gray: UInt8[np.ndarray, "h w"]
+    looks: Looks
+    segments: Segments
+
+
+def see(gray: UInt8[np.ndarray, "h w"]) -> Sight:
+    """What is to be seen in a photo."""
+    return Sight(gray, looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detect_segments(gray))
+
+
+def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:
+    """Both looks at a picture at detection scale."""
+    coarse = picture_gradient(pyramid(small, COARSE_PIXELS)[0])
+    return Looks(
+        small.astype(np.float32), Look(coarse, COARSE_LINES), Look(picture_gradient(small), FINE_LINES)
+    )
