@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -191,7 +192,13 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # Ctrl-C may come before a command has begun.
     try:
-        app(prog_name="autoreg")
+        try:
+            app(prog_name="autoreg")
+        finally:
+            # What a thread imports or compiles must not be broken off by the interpreter's end.
+            for thread in threading.enumerate():
+                if thread is not threading.current_thread() and not thread.daemon:
+                    thread.join()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 

@@ -19,6 +19,7 @@ from autoreg.image import Photo, load_photo
 from autoreg.outputs import clear_results, usable_folder, write_png, write_whole
 from autoreg.overlay import overlay_picture
 from autoreg.render_job import Wish, make_plan, read_wish, render_into, write_scene
+from autoreg.rendering.objects import Scene
 from autoreg.rendering.render import EngineName
 from autoreg.report import Report, aligned_report, refused_report, report_text
 from autoreg.sight import see
@@ -100,7 +101,16 @@ def run_job(job: Job, listener: Listener) -> Outcome:
     """
     usable_folder(job.folder)
     scene = read_wish(job.wish)
-    threading.Thread(target=_warm_up, daemon=True).start()
+    ended = threading.Event()
+    # No daemon: a process that ends while XLA compiles in such a thread is aborted. The command waits for it.
+    threading.Thread(target=_warm_up, args=(ended,)).start()
+    try:
+        return _aligned(job, scene, listener)
+    finally:
+        ended.set()
+
+
+def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
     listener.doing("reading the photo")
     photo = load_photo(job.photo)
     camera = _camera_for(job, photo, listener)
@@ -143,16 +153,21 @@ def run_job(job: Job, listener: Listener) -> Outcome:
     return Outcome(report, alignment, None, None, (*written, *pictures))
 
 
-def _warm_up() -> None:
-    """Import the pipeline and compile its solver, beside the reading of the photo.
+def _warm_up(ended: threading.Event) -> None:
+    """Import the pipeline and compile its solver beside the reading of the photo, unless the run has ended.
 
     A command may keep what it compiled for the next one, which a library must not do behind its user's back.
     """
+    # A photo that cannot be read is told of before this.
+    if ended.wait(0.02):
+        return
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "autoreg" / platform.node()
     with suppress(OSError):
         cache.mkdir(parents=True, exist_ok=True)
         import_module("autoreg.solver").enable_compilation_cache(cache)
-    import_module("autoreg.align").warm_up()
+    pipeline = import_module("autoreg.align")
+    if not ended.is_set():
+        pipeline.warm_up()
 
 
 def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:

@@ -3,6 +3,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -26,7 +27,7 @@ ALWAYS = {"alignment.json", "overlay.png", "scene.pov", "scene-photo.png"}
 def photo(tmp_path, monkeypatch):
     """A photo in the working folder, and no compiling in the background."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(job, "_warm_up", lambda: None)
+    monkeypatch.setattr(job, "_warm_up", lambda ended: None)
     cv2.imwrite("photo.png", photo_for(CAMERA))
     return Path("photo.png")
 
@@ -36,11 +37,11 @@ def aligned(monkeypatch):
     """The pipeline answers with a running bond; what it was asked for is kept."""
     asked = {}
 
-    def align(gray, camera, **options):
-        asked.update(options, shape=gray.shape, camera=camera)
+    def align(sight, camera, **options):
+        asked.update(options, shape=sight.gray.shape, camera=camera)
         return alignment(RUNNING)
 
-    monkeypatch.setattr(autoreg.align, "align", align)
+    monkeypatch.setattr(autoreg.align, "align_seen", align)
     return asked
 
 
@@ -99,7 +100,7 @@ def test_a_name_that_begins_with_a_dash_goes_after_two_dashes(photo, aligned):
 def test_a_refusal_exits_3_with_the_reason_and_leaves_no_other_file(photo, aligned, monkeypatch):
     assert run("align", photo, "-o", "out", "--render", "--engine", "preview").exit_code == 0
     refusal = Refusal("too_few_joints", "only 2 joints are seen; step back", measured=2.0, limit=4.0)
-    monkeypatch.setattr(autoreg.align, "align", refusing(refusal))
+    monkeypatch.setattr(autoreg.align, "align_seen", refusing(refusal))
     done = run("align", photo, "-o", "out", "--json")
     assert done.exit_code == 3
     assert files("out") == {"alignment.json"}
@@ -158,7 +159,7 @@ def test_a_camera_reaches_the_pipeline_fitted_to_the_photo(photo, aligned):
 
 
 def test_a_contradicted_camera_is_said_loudly(photo, monkeypatch):
-    monkeypatch.setattr(autoreg.align, "align", lambda *_, **__: alignment(consistent=False))
+    monkeypatch.setattr(autoreg.align, "align_seen", lambda *_, **__: alignment(consistent=False))
     done = run("align", photo, "-o", "out")
     assert done.exit_code == 0
     assert "WARNING: the photo's own joints contradict the given camera" in done.stderr
@@ -202,7 +203,7 @@ def test_without_povray_auto_says_that_it_renders_a_preview(photo, aligned, monk
 
 
 def test_a_distorted_lens_gets_an_undistorted_backdrop(photo, monkeypatch):
-    monkeypatch.setattr(autoreg.align, "align", lambda *_, **__: alignment(camera=distorted()))
+    monkeypatch.setattr(autoreg.align, "align_seen", lambda *_, **__: alignment(camera=distorted()))
     assert run("align", photo, "-o", "out").exit_code == 0
     assert files("out") == {"alignment.json", "overlay.png", "scene.pov", "scene-undistorted.png"}
     assert '"scene-undistorted.png"' in Path("out/scene.pov").read_text()
@@ -238,7 +239,9 @@ def test_a_full_disk_is_said_in_one_line(photo, aligned, monkeypatch):
 
 
 def test_an_input_error_from_the_pipeline_exits_2(photo, monkeypatch):
-    monkeypatch.setattr(autoreg.align, "align", refusing(InputError("the slab and the camera do not fit")))
+    monkeypatch.setattr(
+        autoreg.align, "align_seen", refusing(InputError("the slab and the camera do not fit"))
+    )
     done = run("align", photo, "-o", "out")
     assert done.exit_code == 2
     assert "do not fit" in done.stderr
@@ -266,13 +269,44 @@ def test_the_module_runs_as_the_command_and_a_users_mistake_shows_no_traceback(t
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_process_that_ends_early_waits_for_what_it_began_to_compile(tmp_path):
+    cv2.imwrite(str(tmp_path / "photo.png"), np.full((300, 400), 90, np.uint8))
+    code = (
+        "import sys, time, autoreg.align, autoreg.job\n"
+        "autoreg.align.warm_up = lambda: (time.sleep(1.5), print('compiled', flush=True))\n"
+        "from autoreg.cli import main\n"
+        "sys.argv = ['autoreg', 'align', 'photo.png']\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[1])},
+    )
+    assert done.returncode == 3
+    assert done.stdout.splitlines()[-1] == "compiled"
+
+
+def test_nothing_is_compiled_for_a_run_that_has_ended(monkeypatch):
+    compiled, ended = [], threading.Event()
+    monkeypatch.setattr(autoreg.align, "warm_up", lambda: compiled.append(True))
+    job._warm_up(ended)
+    assert compiled == [True]
+    ended.set()
+    job._warm_up(ended)
+    assert compiled == [True]
+
+
 @pytest.mark.skipif(not hasattr(signal, "SIGINT") or os.name == "nt", reason="needs POSIX signals")
 def test_a_real_interrupt_ends_the_process_with_130(tmp_path):
     rng = np.random.default_rng(0)
     cv2.imwrite(str(tmp_path / "photo.png"), rng.integers(0, 255, (900, 1200)).astype(np.uint8))
     code = (
         "import sys, time, autoreg.job\n"
-        "autoreg.job._warm_up = lambda: None\n"
+        "autoreg.job._warm_up = lambda ended: None\n"
         "autoreg.job.load_photo = lambda path: (print('begun', flush=True), time.sleep(60))\n"
         "from autoreg.cli import main\n"
         "sys.argv = ['autoreg', 'align', 'photo.png']\n"

@@ -6,7 +6,7 @@ from autoreg.errors import Refusal
 
 @pytest.fixture
 def said(monkeypatch):
-    monkeypatch.setattr(job, "_warm_up", lambda: None)
+    monkeypatch.setattr(job, "_warm_up", lambda ended: None)
     return []
 
 
@@ -16,7 +16,7 @@ def test_a_failing_self_test_is_said_with_its_reason(said, monkeypatch):
     def refuse(*_, **__):
         raise Refusal("no_lattice", "no lattice here")
 
-    monkeypatch.setattr(autoreg.align, "align", refuse)
+    monkeypatch.setattr(autoreg.align, "align_seen", refuse)
     assert doctor.examine(said.append) is False
     assert "FAILED: no lattice here" in said[-1]
 
