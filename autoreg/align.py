@@ -22,24 +22,14 @@ from autoreg.corrections import recentred, with_measured_shift
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
-from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray
-from autoreg.lattice_choice import Paving, presented, rival, suited
-from autoreg.paving import (
-    CERTAIN_NATS,
-    Hypothesis,
-    PlaneCombs,
-    comb_planes,
-    lay_combs,
-    lay_lattice,
-    promising_plane,
-)
+from autoreg.lattice_choice import Paving, presented
 from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit, refine_until_still
-from autoreg.refusals import ambiguous, camera_contradicted, maybe_wall, no_lattice
-from autoreg.rows import STEP_SIGMA, Rows, lay_rows
-from autoreg.segments import Segments
-from autoreg.sight import Looks, Sight, see
+from autoreg.refusals import maybe_wall, no_lattice
+from autoreg.rows import STEP_SIGMA, Rows
+from autoreg.search import RADIAL_SIGMA, explained, find_paving
+from autoreg.sight import Sight, see
 from autoreg.solver import warm_up
 from autoreg.stations import Grid
 from autoreg.uncertainty import check_camera, settle
@@ -48,14 +38,9 @@ __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align",
 
 Source = Literal["file", "exif", "photo"]
 
-# Ground hypotheses that are taken from the segments, with a camera and without, and how many of them are
-# looked into, those with the clearest joints first.
-HYPOTHESES, HYPOTHESES_NO_FOCAL, MOST_PLANES = 8, 12, 3
-# What is known of an uncalibrated camera: logarithm of its focal length with and without EXIF (the latter
-# about one picture width), and the principal point as a share of the long side.
+# What else is known of an uncalibrated camera: logarithm of its focal length with and without EXIF (the
+# latter about one picture width), and the principal point as a share of the long side.
 EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA = 0.05, 0.5, 0.012
-# ... and the first radial distortion coefficient, which curved joints tell.
-RADIAL_SIGMA = 0.1
 REACH = 12.0
 # Half width of the first search at full resolution, in slab sides; and how often a shift may be corrected.
 FIRST_SEARCH, MOST_SHIFTS = 0.04, 3
@@ -112,7 +97,7 @@ def align_seen(
     try:
         found = find_paving(looks, segments, size, camera, slab)
     except Refusal as refusal:
-        raise _explained(refusal, looks, segments, size, camera if source == "file" else None) from None
+        raise explained(refusal, looks, segments, size, camera if source == "file" else None) from None
     wall = maybe_wall((found.paving if isinstance(found, Rows) else found).fit)
     if wall is not None:
         raise wall
@@ -130,81 +115,6 @@ def align_seen(
         if settled is None or settled.margin_nats < 0:
             raise no_lattice(settled, None)
     return _concluded(picture, fit, settled, crossing, source, slab, camera_height)
-
-
-def find_paving(
-    looks: Looks,
-    segments: Segments,
-    size: tuple[int, int],
-    camera: Camera | None,
-    slab: tuple[float, float] | None = None,
-) -> Paving | Rows:
-    """The lattice that explains the photo best, at detection scale; of those that suit the slab, if any do.
-
-    Args:
-        looks: the photo at detection scale.
-        segments: those of the photo, in its own pixels.
-        size: the photo's width and height.
-        camera: its camera, or None to look for a focal length as well.
-        slab: sides of a slab in either order, if known.
-
-    Raises:
-        Refusal: none explains it better than chance.
-    """
-    free, hypotheses = _hypotheses(segments, size, camera)
-    first = _at_a_glance(looks, hypotheses, free)
-
-    def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
-        return pavings if slab is None else suited(looks.picture, pavings, slab) or pavings
-
-    best = () if first is None else suitable((first,))
-    if not best or best[0].margin_nats < CERTAIN_NATS:
-        ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
-        for plane in ranked:
-            pavings = suitable(lay_lattice(looks, plane, free))
-            if pavings and (not best or pavings[0].margin_nats > best[0].margin_nats):
-                best = pavings
-            if best and best[0].margin_nats > CERTAIN_NATS:
-                break
-        if not best or best[0].margin_nats <= 0:
-            return _find_rows(looks, segments, size, ranked, best)
-    other = rival(best)
-    if other is not None:
-        raise ambiguous(best[0], other)
-    return best[0]
-
-
-def _at_a_glance(looks: Looks, hypotheses: list[Hypothesis], free: Free) -> Paving | None:
-    """The lattice on the likeliest ground, where it is plain to see."""
-    plane = promising_plane(looks, hypotheses)
-    return None if plane is None else lay_combs(looks, plane, free)
-
-
-def _hypotheses(
-    segments: Segments, size: tuple[int, int], camera: Camera | None
-) -> tuple[Free, list[Hypothesis]]:
-    """Grounds that the segments suggest, and what else is solved for while they are looked into."""
-    if camera is not None:
-        found = [(camera, h.R) for h in ground_planes(segments, camera, max_hypotheses=HYPOTHESES)]
-        return Free(ratio=True), found
-    guessed = ground_planes_unknown_focal(segments, *size, max_hypotheses=HYPOTHESES_NO_FOCAL)
-    found = [(Camera.from_focal(*size, focal), h.R) for h, focal in guessed]
-    return Free(ratio=True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA), found
-
-
-def _find_rows(
-    looks: Looks,
-    segments: Segments,
-    size: tuple[int, int],
-    planes: list[PlaneCombs],
-    rejected: tuple[Paving, ...],
-) -> Rows:
-    """The rows that explain the photo best, where no lattice does better than chance."""
-    fields = [lay_rows(looks.picture, plane, segments, size) for plane in planes]
-    rows = max((r for r in fields if r is not None), key=lambda r: r.margin_nats, default=None)
-    if rows is None or rows.margin_nats <= 0:
-        raise no_lattice(rejected[0] if rejected else None, rows)
-    return rows
 
 
 def measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
@@ -289,20 +199,6 @@ def _rows_settled(small: np.ndarray, fit: Fit, rows: Rows) -> Paving:
     if len(presence.p) < 6:
         raise no_lattice(None, rows)
     return Paving(fit, presence, rows.paving.evidence_nats)
-
-
-def _explained(
-    refusal: Refusal, looks: Looks, segments: Segments, size: tuple[int, int], camera: Camera | None
-) -> Refusal:
-    """The refusal, or a better one if the photo's joints fit another camera than the given one."""
-    if camera is None:
-        return refusal
-    free, hypotheses = _hypotheses(segments, size, None)
-    other = _at_a_glance(looks, hypotheses, free)
-    if other is None or other.margin_nats < CERTAIN_NATS:
-        return refusal
-    focal = other.fit.camera.scaled(camera.width, camera.height).fx
-    return camera_contradicted(camera.fx, focal) or refusal
 
 
 def _freedom(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from autoreg.cli_messages import tell
 from autoreg.errors import InputError, Refusal
 
 if TYPE_CHECKING:
@@ -109,10 +110,6 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
             _print_board(pattern, square, output, charuco, dictionary, marker)
 
 
-def _tell(text: str) -> None:
-    print(text, file=sys.stderr)
-
-
 def _calibrate(
     photos: list[str],
     pattern: str,
@@ -155,9 +152,9 @@ def _calibrate(
         written += write_report(found, report, autoreg.__version__)[:1]
     if as_json:
         sys.stdout.write(output.read_text(encoding="utf-8"))
-    _tell(summary(found))
+    tell(summary(found))
     for path in written:
-        _tell(f"wrote {path}")
+        tell(f"wrote {path}")
     if found.verdict.grade == "do not use":
         raise typer.Exit(Refusal.exit_code)
 
@@ -278,4 +275,4 @@ def _print_board(
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, content)
     sheet = sheet_for(made)
-    _tell(f"wrote {path}: {sheet.width_mm:.0f} x {sheet.height_mm:.0f} mm ({sheet.paper}); print it at 100 %")
+    tell(f"wrote {path}: {sheet.width_mm:.0f} x {sheet.height_mm:.0f} mm ({sheet.paper}); print it at 100 %")

@@ -8,11 +8,12 @@ import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from autoreg.calibration_commands import add_calibration_commands
+from autoreg.cli_messages import listener_on_stderr, tell, tell_check, tell_outcome
 from autoreg.cli_render import (
     DemoOption,
     DofOption,
@@ -28,7 +29,7 @@ from autoreg.errors import AutoregError, InputError
 from autoreg.options import parse_crop, parse_height, parse_slab
 
 if TYPE_CHECKING:
-    from autoreg.job import Job, Listener, Outcome
+    from autoreg.job import Job
 
 INTERRUPTED = 130
 
@@ -134,17 +135,17 @@ def render_command(
         from autoreg.render_job import RenderJob, run_render
 
         job = RenderJob(alignment, wish, engine or "auto", photo, output)
-        with _listener() as listener:
+        with listener_on_stderr() as listener:
             outcome = run_render(job, listener.doing, listener.progress, listener.note)
         if as_json:
             from autoreg.report import report_text
 
             sys.stdout.write(report_text(outcome.report))
         for path in outcome.written:
-            _tell(f"wrote {path}")
-        _tell_check(outcome.report)
+            tell(f"wrote {path}")
+        tell_check(outcome.report)
         if outcome.error is not None:
-            _tell(f"error: the render failed: {outcome.error}")
+            tell(f"error: the render failed: {outcome.error}")
             raise typer.Exit(outcome.error.exit_code)
 
 
@@ -208,14 +209,14 @@ def _exit_codes() -> Generator[None]:
     try:
         yield
     except AutoregError as error:
-        _tell(f"error: {error}")
+        tell(f"error: {error}")
         raise typer.Exit(error.exit_code) from None
     except OSError as error:
         # The disk is full, a folder vanished, a file may not be read: the system's words say it best.
-        _tell(f"error: {error}")
+        tell(f"error: {error}")
         raise typer.Exit(InputError.exit_code) from None
     except KeyboardInterrupt:
-        _tell("interrupted; every file that was written is whole")
+        tell("interrupted; every file that was written is whole")
         raise typer.Exit(INTERRUPTED) from None
 
 
@@ -227,103 +228,11 @@ def _run(job: Job, *, as_json: bool) -> None:
     from autoreg.job import run_job
     from autoreg.report import report_text
 
-    with _listener() as listener:
+    with listener_on_stderr() as listener:
         outcome = run_job(job, listener)
     if as_json:
         sys.stdout.write(report_text(outcome.report))
-    _tell_outcome(job, outcome)
+    tell_outcome(outcome)
     failure = outcome.refusal or outcome.render_error
     if failure is not None:
         raise typer.Exit(failure.exit_code)
-
-
-def _tell_outcome(job: Job, outcome: Outcome) -> None:
-    refusal, alignment = outcome.refusal, outcome.alignment
-    if refusal is not None:
-        _tell(f"refused ({refusal.code}): {refusal.message}")
-        if refusal.measured is not None:
-            limit = "" if refusal.limit is None else f", limit {refusal.limit:.4g}"
-            _tell(f"  measured {refusal.measured:.4g}{limit}")
-    if alignment is not None:
-        for warning in alignment.warnings:
-            _tell(f"warning: {warning}")
-        camera = alignment.camera
-        if camera.consistent is False:
-            _tell_inconsistent(camera.camera.fx, camera.focal_from_photo_px, camera.focal_from_photo_sigma_px)
-        _tell(_summary(alignment))
-    for path in outcome.written:
-        _tell(f"wrote {path}")
-    _tell_check(outcome.report)
-    if outcome.render_error is not None:
-        _tell(f"error: the render failed: {outcome.render_error}")
-
-
-def _tell_check(report: dict[str, Any]) -> None:
-    """One line: how well the rendered camera is the photo's."""
-    check = (report.get("render") or {}).get("check")
-    if check is not None:
-        _tell(
-            f"rendered: joints in the layer lie {check['rms_px']:.3f} px rms ({check['max_px']:.3f} at most) "
-            "from their computed place"
-        )
-
-
-def _tell_inconsistent(given_px: float, found_px: float | None, sigma_px: float | None) -> None:
-    """The loud word: a wrong camera gives a pose that looks fine and is not."""
-    found = "" if found_px is None else f" They ask for a focal length of {found_px:.0f} px"
-    found += "" if not found or sigma_px is None else f" (± {sigma_px:.0f})"
-    found += f"; the camera says {given_px:.0f} px." if found else ""
-    _tell("*" * 78)
-    _tell(f"WARNING: the photo's own joints contradict the given camera.{found}")
-    _tell("The pose below rests on that camera and is probably wrong. Check that the camera file belongs to")
-    _tell("this photo (same camera, zoom, focus and crop), or leave --camera out.")
-    _tell("*" * 78)
-
-
-def _summary(alignment: Any) -> str:
-    """One line: the paving, the camera's height, and how well they fit."""
-    lattice, residual = alignment.lattice, alignment.residual
-    known = alignment.scale_source != "none"
-    unit = " m" if known else " slab sides"
-    sides = [f"{side:.4g}" for side in (lattice.spacing_x, lattice.spacing_y) if side is not None]
-    height = float(alignment.pose.cam_from_ground.origin_in_a[2])
-    return (
-        f"aligned: {lattice.kind} of {' x '.join(sides)}{unit}, camera {height:.4g}{unit} above the ground, "
-        f"{residual.joints} joints at {residual.rms_px:.2f} px rms"
-    )
-
-
-def _tell(text: str) -> None:
-    print(text, file=sys.stderr)
-
-
-@contextmanager
-def _listener() -> Generator[Listener]:
-    """Steps as a spinner if stderr is a terminal, else none; notes always."""
-    from autoreg.job import Listener
-
-    if not sys.stderr.isatty():
-        yield Listener(note=lambda text: _tell(f"note: {text}"), doing=lambda text: None)
-        return
-    from rich.console import Console
-    from rich.text import Text
-
-    console = Console(stderr=True)
-    with console.status("") as status:
-        step = ""
-
-        # As Text, because file names may hold what rich takes for markup.
-        def doing(text: str) -> None:
-            nonlocal step
-            step = text
-            status.update(Text(f"{text} ..."))
-
-        def progress(part: float) -> None:
-            done = round(30 * part)
-            status.update(Text(f"{step} {'━' * done}{'─' * (30 - done)} {100 * part:3.0f} %"))
-
-        yield Listener(
-            note=lambda text: console.print(Text(f"note: {text}"), soft_wrap=True),
-            doing=doing,
-            progress=progress,
-        )

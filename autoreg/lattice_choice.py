@@ -13,13 +13,8 @@ from jaxtyping import Float
 
 from autoreg.bond import customary_shift
 from autoreg.ground_frame import turned, with_origin
-from autoreg.presence import (
-    Pattern,
-    Presence,
-    best_pattern,
-    broken,
-    presence_of,
-)
+from autoreg.patterns import Pattern, best_pattern, broken
+from autoreg.presence import Presence, presence_of
 from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
 

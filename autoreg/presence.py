@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree
@@ -50,10 +50,6 @@ PRESENT, BEATEN, FIELD_DENSITY = 0.2, 0.12, 0.45
 # ... and more than these parts of what is usual in it, inside and at its rim. Neighbours lie within so many
 # lengths of a side, and those that meet it within the last.
 CORE_DENSITY, RIM_DENSITY, NEIGHBOURS, RIM = 0.75, 0.55, 1.6, 0.8
-# Mean p-values of a class of sides that is absent, and of one that is there.
-BROKEN_P, PRESENT_P = 0.35, 0.15
-# How much better a pattern of absent sides must explain them than all sides being there.
-DEPARTURE_NATS = 3.0
 
 
 @dataclass(frozen=True)
@@ -211,76 +207,6 @@ def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
     Its exponential has expectation one under the null, which makes the product over sides an e-value.
     """
     return np.log((1 - missed) * SHARPNESS * p ** (SHARPNESS - 1) + missed)
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """Which sides of a fine lattice belong to the true one.
-
-    `family` x sides present where (line - cell * advance) % period == phase, likewise for y. `period` 1 is
-    all of them.
-    """
-
-    period: int
-    advance: int
-    phase: int
-    score: float
-
-
-def best_pattern(
-    presence: Presence, family: int, periods: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
-) -> list[Pattern]:
-    """Patterns of one family's sides, best first, by the sum of log likelihood ratios.
-
-    Absent sides are held against a pattern that predicts them and for one that does not, so neither half
-    nor twice the spacing can win.
-    """
-    rows = np.flatnonzero(presence.sides.family == family)
-    line, cell = presence.sides.line[rows], presence.sides.cell[rows]
-    keys = [(m, q, r) for m in periods for q in range(m) for r in range(m)]
-    # Twice the spacing is as good a lattice as any; the others must earn their freedom.
-    cost = [np.log(m) if q == 0 and m <= 2 else 2 * np.log(m) + DEPARTURE_NATS for m, q, _ in keys]
-    ways = np.concatenate([_residues(line, cell, m, q) for m in periods for q in range(m)], 1)
-    by_missed = np.array([p_llr(presence.p[rows], missed) for missed in MISSED], np.float32)
-    fields, prices = zip(*presence.possible_fields, strict=True)
-    held = np.array(fields)[:, rows]
-    weights = (held[:, None] * by_missed).reshape(len(held) * len(MISSED), len(rows))
-    sums = weights @ ways
-    best = (sums.reshape(len(held), len(MISSED), -1).max(1) - np.array(prices)[:, None]).max(0) - cost
-    found = [Pattern(m, q, r, float(score)) for (m, q, r), score in zip(keys, best, strict=True)]
-    return sorted(found, key=lambda pattern: -pattern.score)
-
-
-def _residues(line: np.ndarray, cell: np.ndarray, period: int, advance: int) -> Float32[np.ndarray, "n m"]:
-    """Ones where a side is of a residue class of the lattice counted obliquely."""
-    residue = (line - cell * advance) % period
-    return (residue[:, None] == np.arange(period)).astype(np.float32)
-
-
-def broken(presence: Presence, family: int) -> bool:
-    """Whether the joints of a family break off at regular intervals, as those of herringbone do.
-
-    The sides of one residue class, counted obliquely over the lattice, are then absent while all others are
-    there; no stack or running bond of whole slabs looks like that.
-    """
-    near = presence.nearest(0.5)
-    rows = np.flatnonzero(near.sides.family == family)
-    line, p = near.sides.line[rows], near.p[rows]
-    if len(rows) == 0:
-        return False
-    # Counted by place: the rows of a running bond count their sides from starts of their own.
-    ends = near.sides.ends[rows][:, :, 0 if family == ALONG_X else 1]
-    cell = np.floor(ends.mean(1) / np.median(np.ptp(ends, axis=1)) + 1e-6).astype(int)
-    for m in (3, 4):
-        for q in range(1, m):
-            residue = (line - cell * q) % m
-            count = np.bincount(residue, minlength=m)
-            if count.min() < 5:
-                continue
-            mean = np.sort(np.bincount(residue, weights=p, minlength=m) / count)
-            if mean[-1] > BROKEN_P and mean[-2] < PRESENT_P:
-                return True
-    return False
 
 
 def field_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:

@@ -260,7 +260,8 @@ def _blank_state() -> Any:
     n, p = CAPACITY, PARAMETERS
     rows = n + p
     return LevenbergMarquardtState(
-        iter_num=np.int64(0),  # pyright: ignore[reportArgumentType]  # a number of the array library
+        # As the step hands it on: of 64 bits, where the state declares a plain int.
+        iter_num=np.int64(0),  # pyright: ignore[reportArgumentType]
         damping_factor=np.float64(1.0),
         increase_factor=np.float64(2.0),
         residual=np.zeros(rows),

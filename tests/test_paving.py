@@ -9,8 +9,9 @@ from paved import GRAVEL, gray_of, misses, nudged
 from autoreg.freedom import Free
 from autoreg.joint_looks import Strip
 from autoreg.lattice_choice import Paving, rival, settle_bond, with_pattern
+from autoreg.patterns import Pattern
 from autoreg.paving import comb_planes, lay_lattice
-from autoreg.presence import Pattern, presence_of
+from autoreg.presence import presence_of
 from autoreg.refine import Fit
 from autoreg.segments import detect_segments
 from autoreg.sight import looks_at

@@ -6,37 +6,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_sides import made_presence, presence_with
 from paved import CAMERA, STACK, gray_of
 
 from autoreg.ground_frame import with_origin
 from autoreg.joint_looks import Strip
-from autoreg.lattice_choice import departs
-from autoreg.presence import (
-    Presence,
-    best_pattern,
-    field_polygon,
-    p_llr,
-    side_presence,
-)
+from autoreg.presence import Presence, field_polygon, p_llr, side_presence
 from autoreg.refine import Fit
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, inside_convex, slab_sides
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, inside_convex, slab_sides
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 DARK = Strip((0.01, 0.01), 0.8, (-1, -1))
-
-
-def _presence(sides: Sides, p: np.ndarray, beaten: np.ndarray | None = None) -> Presence:
-    n = len(sides)
-    none = np.zeros(n) if beaten is None else beaten
-    return Presence(sides, p, np.full(n, 20.0), none, 20.0 * sides.ends.mean(1))
-
-
-def made_presence(there: np.ndarray) -> Presence:
-    """Sides of a lattice of which some are there: clear p-values for them, uniform ones for the others."""
-    rng = np.random.default_rng(0)
-    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
-    p = np.where(there, rng.beta(0.2, 2.0, len(sides)), rng.uniform(size=len(sides)))
-    return _presence(sides, np.maximum(p, 1e-3))
 
 
 def presence_of(photo: SyntheticPhoto, grid: Grid, strip: Strip = DARK) -> Presence:
@@ -98,32 +78,6 @@ def test_the_nearest_share_is_that_of_the_largest_sides(stack_photo: SyntheticPh
     assert near.size_px.min() >= np.sort(presence.size_px)[-len(near.p)]
 
 
-@pytest.mark.parametrize(
-    ("period", "advance", "phase"), [(2, 0, 1), (2, 1, 0), (3, 1, 2), (3, 2, 1), (4, 2, 3), (5, 2, 0)]
-)
-@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
-def test_the_pattern_of_absent_sides_is_found(period: int, advance: int, phase: int, family: int):
-    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
-    residue = (sides.line - sides.cell * advance) % period
-    there = (sides.family != family) | (residue == phase)
-    best = best_pattern(made_presence(there), family)[0]
-    assert (best.period, best.advance, best.phase) == (period, advance, phase)
-    other = ALONG_Y if family == ALONG_X else ALONG_X
-    assert best_pattern(made_presence(there), other)[0].period == 1
-
-
-def test_where_all_sides_are_there_none_is_left_out():
-    patterns = best_pattern(made_presence(np.array(True)), ALONG_X)
-    assert patterns[0].period == 1
-    assert patterns[0].score > patterns[1].score > 0
-
-
-def test_some_sides_missing_at_random_are_no_pattern():
-    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
-    there = np.random.default_rng(5).uniform(size=len(sides)) > 0.3
-    assert best_pattern(made_presence(there), ALONG_Y)[0].period == 1
-
-
 def test_the_field_is_where_the_sides_are_there_and_convex():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
     middle = sides.ends.mean(1)
@@ -141,7 +95,7 @@ def test_a_lone_side_far_off_does_not_stretch_the_field():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
     middle = sides.ends.mean(1)
     paved = (middle < 4.01).all(1)
-    presence = _presence(sides, np.where(paved, 0.01, 0.9))
+    presence = presence_with(sides, np.where(paved, 0.01, 0.9))
     p = presence.p.copy()
     p[np.linalg.norm(middle, axis=1).argmax()] = 0.01
     assert field_polygon(replace(presence, p=p)) == pytest.approx(field_polygon(presence))
@@ -154,7 +108,7 @@ def test_sides_with_no_more_support_than_what_lies_beside_them_are_clutter():
     # Beside smooth slabs everything in clutter has more support than most controls of the photo.
     p = np.where(paved, 0.01, rng.uniform(0.0, 0.15, len(sides)))
     beaten = np.where(paved, 0.0, rng.uniform(0.0, 1.0, len(sides)))
-    presence = _presence(sides, p, beaten)
+    presence = presence_with(sides, p, beaten)
     field = field_polygon(presence)
     assert inside_convex(middle[(middle < 5.6).all(1) & (middle > 0.4).all(1)], field, 0.0).all()
     assert field.max() < 7.2
@@ -165,7 +119,7 @@ def test_a_field_in_a_corner_of_the_picture_is_among_the_possible_ones():
     middle = sides.ends.mean(1)
     paved = (middle > 13.0).all(1)
     p = np.where(paved, 0.005, np.random.default_rng(0).uniform(size=len(sides)))
-    *others, (box, price) = _presence(sides, p).possible_fields
+    *others, (box, price) = presence_with(sides, p).possible_fields
     assert paved[box].mean() > 0.95
     assert box[paved].mean() > 0.8
     # All choices together must not be likelier than one.
@@ -173,18 +127,10 @@ def test_a_field_in_a_corner_of_the_picture_is_among_the_possible_ones():
     assert np.exp(-np.array(prices)).sum() + 38 * np.exp(-price) <= 1.0 + 1e-9
 
 
-@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
-def test_regular_gaps_speak_against_a_lattice_and_random_ones_do_not(family: int):
-    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
-    regular = (sides.family != family) | (sides.line % 2 == 0)
-    assert departs(made_presence(regular))
-    assert not departs(made_presence(np.random.default_rng(3).uniform(size=len(sides)) > 0.3))
-
-
 def test_no_sides_span_no_field():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 3.0)).take(np.zeros(0, int))
     with pytest.raises(ValueError, match="no sides"):
-        field_polygon(_presence(sides, np.zeros(0)))
+        field_polygon(presence_with(sides, np.zeros(0)))
 
 
 def test_the_origin_moves_on_the_ground_and_the_camera_stays(stack_fit: Fit):

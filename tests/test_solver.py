@@ -380,6 +380,7 @@ def test_the_compiled_step_is_kept_in_the_folder_and_found_there(tmp_path):
             capture_output=True, text=True, check=True, timeout=300, env=environment, cwd=ROOT,
         )  # fmt: skip
         texts.append(done.stdout)
-    assert len(list(tmp_path.glob("*-cache"))) == 1
+    # On a busy machine what takes a moment to compile, beside the step, may be kept as well.
+    assert len(list(tmp_path.glob("jit_update-*-cache"))) == 1
     assert "/jax/compilation_cache/cache_hits" not in texts[0]
     assert "/jax/compilation_cache/cache_hits" in texts[1]

@@ -1,0 +1,23 @@
+"""Sides of a made lattice, of which some are there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from autoreg.presence import Presence
+from autoreg.stations import Grid, Sides, slab_sides
+
+
+def presence_with(sides: Sides, p: np.ndarray, beaten: np.ndarray | None = None) -> Presence:
+    """Sides of one size with given p-values."""
+    n = len(sides)
+    none = np.zeros(n) if beaten is None else beaten
+    return Presence(sides, p, np.full(n, 20.0), none, 20.0 * sides.ends.mean(1))
+
+
+def made_presence(there: np.ndarray) -> Presence:
+    """Sides of a lattice of which some are there: clear p-values for them, uniform ones for the others."""
+    rng = np.random.default_rng(0)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    p = np.where(there, rng.beta(0.2, 2.0, len(sides)), rng.uniform(size=len(sides)))
+    return presence_with(sides, np.maximum(p, 1e-3))
