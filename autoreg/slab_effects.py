@@ -1,6 +1,6 @@
-"""How far irregular slabs, relief, bright tiles and bent ground move each station across its joint, in pixels.
+"""How far irregular slabs, relief, bright tiles and bent ground move each station across its joint.
 
-These are the columns of the mixed model's random effects, each for a size of one.
+These are the columns of the mixed model's random effects, in pixels, each for a size of one.
 """
 
 from __future__ import annotations

@@ -2,11 +2,12 @@
 
 The places of neighbouring joints are no independent measurements. Each joint lies off its line by
 
-    J dp + place + lift + turn of the slabs on either side + relief + noise,
+    J dp + place + lift + turn of the slabs on either side + relief + bloom + noise,
 
 where every slab's place, height and turn are random, and the relief is the shift of a joint seen aslant: a
-lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. This is
-a linear mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the sizes of the random
+lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. Bright
+tiles that meet dark ones without a joint bloom: every edge is moved towards the dark one. This is a linear
+mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the sizes of the random
 effects come from the photo's own residuals by restricted maximum likelihood, and the pose by generalised
 least squares.
 """
