@@ -28,7 +28,7 @@ from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit, refine_until_still
 from autoreg.refusals import maybe_wall, no_lattice
 from autoreg.rows import STEP_SIGMA, Rows
-from autoreg.search import RADIAL_SIGMA, explained, find_paving
+from autoreg.search import RADIAL_SIGMA, find_paving, other_camera
 from autoreg.sight import Sight, see
 from autoreg.solver import warm_up
 from autoreg.stations import Grid
@@ -94,10 +94,16 @@ def align_seen(
     if camera is None and exif_focal_px is not None:
         camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
     size = width, height
+    given = camera if source == "file" else None
     try:
         found = find_paving(looks, segments, size, camera, slab)
     except Refusal as refusal:
-        raise explained(refusal, looks, segments, size, camera if source == "file" else None) from None
+        raise (given and other_camera(looks, segments, size, given)) or refusal from None
+    # A wrong camera may leave rows of what is a lattice.
+    if isinstance(found, Rows) and given is not None:
+        blamed = other_camera(looks, segments, size, given)
+        if blamed is not None:
+            raise blamed
     wall = maybe_wall((found.paving if isinstance(found, Rows) else found).fit)
     if wall is not None:
         raise wall
@@ -175,7 +181,8 @@ def _concluded(
         camera=CameraReport(
             fit.camera,
             source,
-            check.consistent if source != "photo" else None,
+            # Rows tell too little of a camera to vouch for it.
+            None if source == "photo" or (check.consistent and not told) else check.consistent,
             check.focal_px if told else None,
             check.focal_sigma_px if told else None,
         ),

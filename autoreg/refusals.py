@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
@@ -12,11 +13,17 @@ from autoreg.rows import Rows
 
 # A camera's focal length must differ by this much before it is blamed for a refusal.
 FOCAL_BLAME = 0.05
+# ... and its principal point lie so far off the middle, as a share of the width.
+CENTRE_BLAME = 0.03
 # Fewer sides than this are a few joints, however clear.
 FEW_SIDES = 16
 # Courses seen no more aslant than the first, and no farther from level than the second, may be a wall's: the
 # search for the ground cannot drop such a wall for its plumb joints.
 FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(PLUMB_RAD))
+_OTHER_CAMERA = (
+    "the camera file belongs to another camera, zoom or picture size: check it with its calibration, "
+    "or leave --camera out"
+)
 
 
 def no_lattice(best: Paving | None, rows: Rows | None) -> Refusal:
@@ -89,16 +96,29 @@ def _named(paving: Paving) -> str:
     return f"{bond} of {(grid.spacing_x or 0.0) / height:.3f} x {grid.spacing_y / height:.3f} camera heights"
 
 
-def camera_contradicted(given_px: float, from_photo_px: float) -> Refusal | None:
-    """The refusal of a photo whose joints fit another focal length; None if it is about the same."""
-    share = from_photo_px / given_px - 1.0
-    if abs(share) < FOCAL_BLAME:
-        return None
-    return Refusal(
-        "camera_contradicted",
-        f"no lattice fits this camera's focal length of {given_px:.0f} px, but one fits "
-        f"{from_photo_px:.0f} px ({100 * share:+.0f} %); the camera file belongs to another "
-        "camera, zoom or picture size: check it with its calibration, or leave --camera out",
-        measured=round(from_photo_px, 1),
-        limit=round(given_px, 1),
-    )
+def camera_contradicted(given: Camera, from_photo_px: float) -> Refusal | None:
+    """The refusal of a photo whose joints fit a camera of this focal length; None if that is about the same.
+
+    The other camera has its principal point in the middle of the picture.
+    """
+    share = from_photo_px / given.fx - 1.0
+    size = np.array([given.width, given.height])
+    off = float(np.linalg.norm(np.array([given.cx, given.cy]) - 0.5 * (size - 1))) / given.width
+    if abs(share) >= FOCAL_BLAME:
+        return Refusal(
+            "camera_contradicted",
+            f"no lattice fits this camera's focal length of {given.fx:.0f} px, but one fits "
+            f"{from_photo_px:.0f} px ({100 * share:+.0f} %); {_OTHER_CAMERA}",
+            measured=round(from_photo_px, 1),
+            limit=round(given.fx, 1),
+        )
+    if off >= CENTRE_BLAME:
+        return Refusal(
+            "camera_contradicted",
+            f"no lattice fits this camera, whose principal point ({given.cx:.0f}, {given.cy:.0f}) px lies "
+            f"{100 * off:.0f} % of the width off the picture's middle, but one fits if it lies there; "
+            f"if the photo was cut from a larger one say so with --crop; {_OTHER_CAMERA}",
+            measured=round(off, 3),
+            limit=CENTRE_BLAME,
+        )
+    return None

@@ -73,18 +73,13 @@ def find_paving(
     return best[0]
 
 
-def explained(
-    refusal: Refusal, looks: Looks, segments: Segments, size: tuple[int, int], camera: Camera | None
-) -> Refusal:
-    """The refusal, or a better one if the photo's joints fit another camera than the given one."""
-    if camera is None:
-        return refusal
+def other_camera(looks: Looks, segments: Segments, size: tuple[int, int], camera: Camera) -> Refusal | None:
+    """Why a camera is to blame where it shows no lattice: the joints clearly fit another one."""
     free, hypotheses = _hypotheses(segments, size, None)
     other = _at_a_glance(looks, hypotheses, free)
     if other is None or other.margin_nats < CERTAIN_NATS:
-        return refusal
-    focal = other.fit.camera.scaled(camera.width, camera.height).fx
-    return camera_contradicted(camera.fx, focal) or refusal
+        return None
+    return camera_contradicted(camera, other.fit.camera.scaled(camera.width, camera.height).fx)
 
 
 def _at_a_glance(looks: Looks, hypotheses: list[Hypothesis], free: Free) -> Paving | None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of, gray_of
 
+from autoreg.camera import Camera
 from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving
 from autoreg.presence import presence_of
 from autoreg.refusals import FEW_SIDES, ambiguous, camera_contradicted, maybe_wall, no_lattice
@@ -48,12 +49,23 @@ def test_an_ambiguous_photo_names_both_lattices(paving: Paving):
 
 
 @pytest.mark.parametrize(("given", "seen", "blamed"), [(1000.0, 1030.0, False), (1000.0, 1200.0, True)])
-def test_a_camera_is_blamed_only_for_another_focal_length(given: float, seen: float, blamed: bool):
-    refusal = camera_contradicted(given, seen)
+def test_a_camera_is_blamed_for_another_focal_length(given: float, seen: float, blamed: bool):
+    refusal = camera_contradicted(Camera.from_focal(800, 600, given), seen)
     assert (refusal is not None) == blamed
     if refusal is not None:
         assert refusal.code == "camera_contradicted"
         assert np.isclose([refusal.measured or 0.0, refusal.limit or 0.0], [seen, given]).all()
+
+
+@pytest.mark.parametrize(("off_px", "blamed"), [(10.0, False), (80.0, True)])
+def test_a_camera_is_blamed_for_a_principal_point_far_off_the_middle(off_px: float, blamed: bool):
+    camera = replace(Camera.from_focal(800, 600, 1000.0), cx=399.5 - off_px)
+    refusal = camera_contradicted(camera, 1010.0)
+    assert (refusal is not None) == blamed
+    if refusal is not None:
+        assert refusal.code == "camera_contradicted"
+        assert refusal.measured == pytest.approx(off_px / 800)
+        assert "--crop" in refusal.message
 
 
 @pytest.mark.parametrize(
