@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-import time
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,25 +36,36 @@ class Ran:
         return json.loads(self.said.strip().splitlines()[-1])
 
 
+# Starts the program, waits for it, and writes what the system says of it into a file. A program started from
+# here directly would have this process's own memory as its peak: the system counts from the fork on.
+_LAUNCHER = """
+import json, os, subprocess, sys, time
+began = time.perf_counter()
+process = subprocess.Popen([sys.executable, *sys.argv[2:]])
+_, status, usage = os.wait4(process.pid, 0)
+took = time.perf_counter() - began
+told = [took, usage.ru_utime + usage.ru_stime, usage.ru_maxrss, os.waitstatus_to_exitcode(status)]
+with open(sys.argv[1], "w") as file:
+    json.dump(told, file)
+"""
+
+
 def run_timed(words: Sequence[str], environment: Mapping[str, str] | None = None) -> Ran:
     """Run Python with these words from the project's root."""
     env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore", **(environment or {})}
-    began = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        env=env,
-        cwd=ROOT,
-    )
-    assert process.stdout is not None
-    said = process.stdout.read()
-    # wait4 tells this child's own peak; getrusage would tell the largest of all children.
-    _, status, usage = os.wait4(process.pid, 0)
-    took = time.perf_counter() - began
-    process.stdout.close()
-    process.returncode = os.waitstatus_to_exitcode(status)
+    with tempfile.TemporaryDirectory() as folder:
+        told = Path(folder, "told.json")
+        done = subprocess.run(
+            [sys.executable, "-S", "-E", "-c", _LAUNCHER, str(told), *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env=env,
+            cwd=ROOT,
+            check=False,
+        )
+        if not told.exists():
+            raise RuntimeError(f"a timed program could not be run: {done.stdout[-800:]}")
+        took, spent, peak, code = json.loads(told.read_text())
     unit = 1.0 if sys.platform == "darwin" else 1024.0
-    spent = usage.ru_utime + usage.ru_stime
-    return Ran(took, spent, usage.ru_maxrss * unit / 1e9, process.returncode, said)
+    return Ran(took, spent, peak * unit / 1e9, code, done.stdout)

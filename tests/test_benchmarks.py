@@ -529,7 +529,8 @@ def test_a_timed_process_tells_time_memory_and_failure():
     ran = run_timed(["-c", "print('{\"answer\": 42}')"])
     assert ran.answer() == {"answer": 42}
     assert 0 < ran.seconds < 60
-    assert 0.001 < ran.peak_gb < 1
+    # The program's own: what this process has loaded is none of it.
+    assert 0.001 < ran.peak_gb < 0.08
     with pytest.raises(RuntimeError, match="ended with 3"):
         run_timed(["-c", "raise SystemExit(3)"]).answer()
 
