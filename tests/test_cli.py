@@ -305,7 +305,9 @@ def test_a_real_interrupt_ends_the_process_with_130(tmp_path):
     rng = np.random.default_rng(0)
     cv2.imwrite(str(tmp_path / "photo.png"), rng.integers(0, 255, (900, 1200)).astype(np.uint8))
     code = (
-        "import sys, time, autoreg.job\n"
+        "import signal, sys, time, autoreg.job\n"
+        # A shell's background jobs ignore it from the start.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "autoreg.job._warm_up = lambda ended: None\n"
         "autoreg.job.load_photo = lambda path: (print('begun', flush=True), time.sleep(60))\n"
         "from autoreg.cli import main\n"
