@@ -11,8 +11,9 @@ from jaxtyping import Float
 from autoreg.alignment import Alignment
 from autoreg.lattice import Lattice
 from autoreg.layout import lay_joints, slab_side_x
+from autoreg.rendering.depth_of_field import Focus
 from autoreg.rendering.scene_objects import number, objects_text, reflects, vector
-from autoreg.rendering.staging import Focus, Lamps, Staging
+from autoreg.rendering.staging import Lamps, Staging
 from autoreg.view import View
 
 # What `Declare=Pass=n` asks of the scene.
@@ -110,26 +111,7 @@ global_settings {{ assumed_gamma 1.0 max_trace_level 8 }}
 
 def _camera(view: View, focus: Focus | None) -> str:
     c, R = view.camera, view.cam_from_ground.R
-    blur = (
-        ""
-        if focus is None
-        else f"""
-// Depth of field: the opening of the lens in the scene's unit, and what it is focused on.
-#declare Aperture = {number(focus.aperture_m)};
-#declare Focus_On = {vector(focus.point)};
-// With focal blur POV-Ray samples each pixel 1/32 up and left of where it does without (measured): this
-// moves the picture back.
-#declare Blur_Shift = 1/32;
-"""
-    )
-    lens = (
-        ""
-        if focus is None
-        else (
-            "\n  aperture Aperture focal_point Focus_On blur_samples 10, 100 confidence 0.95 variance 1/10000"
-        )
-    )
-    shift = "" if focus is None else " + Blur_Shift"
+    blur, shift, lens = ("", "", "") if focus is None else _depth_of_field(focus)
     return f"""
 // --- Camera -----------------------------------------------------------------------------------------
 // Pixels of the photo: (0, 0) is the centre of the top-left one. Win_* choose a part of it to render.
@@ -155,6 +137,29 @@ def _camera(view: View, focus: Focus | None) -> str:
   + (Win_Y + (Win_H - 1)/2 - CY{shift})/FY*Axis_Down;
 camera {{ location Eye right Cam_Right up Cam_Up direction Cam_Direction{lens} }}
 """
+
+
+def _depth_of_field(focus: Focus) -> tuple[str, str, str]:
+    """Its constants, what it adds to the picture's place, and its part of the camera statement."""
+    constants = f"""
+// Depth of field: the opening of the lens in the scene's unit, and what it is focused on.
+#declare Aperture = {number(focus.aperture_m)};
+#declare Focus_On = {vector(focus.point)};
+// For the objects alone: the photo has its own blur already, and shadows on the ground get theirs later.
+#ifndef (Depth_Of_Field) #declare Depth_Of_Field = (Pass != 0 & Pass != 2 & Pass != 3); #end
+// With focal blur POV-Ray samples each pixel 1/32 up and left of where it does without (measured): this
+// moves the picture back.
+#declare Blur_Shift = Depth_Of_Field/32;
+"""
+    lens = """
+  // Measured: POV-Ray's lens has half the opening that it is told, and is focused at the distance, not at
+  // the depth, of its focal_point.
+  #if (Depth_Of_Field)
+    aperture 2*Aperture focal_point Eye + vdot(Focus_On - Eye, Axis_Forward)*Cam_Direction
+    blur_samples 10, 100 confidence 0.95 variance 1/10000
+  #end
+"""
+    return constants, " + Blur_Shift", lens
 
 
 def _lattice(lattice: Lattice) -> str:

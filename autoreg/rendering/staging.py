@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 from autoreg.errors import InputError
 from autoreg.lattice import Lattice
 from autoreg.layout import slab_at, slab_centre
+from autoreg.rendering.depth_of_field import Focus
 from autoreg.rendering.layer import linear_from_srgb
 from autoreg.rendering.letters import text_surface
 from autoreg.rendering.objects import (
@@ -99,14 +100,6 @@ class Lamps:
     def on_ground(self) -> tuple[float, float]:
         """What the sun and what the whole sky give on level ground; together 1."""
         return self.sun * float(self.to_sun[2]), self.sky * float(self.to_sky[:, 2].sum())
-
-
-@dataclass(frozen=True)
-class Focus:
-    """A real lens: the diameter of its opening, and the ground point that it is focused on."""
-
-    aperture_m: float
-    point: Float[np.ndarray, "3"]
 
 
 @dataclass(frozen=True)
