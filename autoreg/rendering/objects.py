@@ -14,6 +14,9 @@ from autoreg.rendering.surface import Surface
 
 RGB = tuple[float, float, float]
 
+# Smaller shapes are lost to rounding.
+_SMALLEST_M = 1e-6
+
 
 class _Sized:
     """A shape whose lengths in metres have to be positive."""
@@ -22,8 +25,11 @@ class _Sized:
         for item in fields(self):  # pyright: ignore[reportArgumentType]  # every subclass is a dataclass
             value = getattr(self, item.name)
             lengths = value if isinstance(value, tuple) else (value,)
+            name = item.name.removesuffix("_m")
             if item.name.endswith("_m") and not all(math.isfinite(v) and v > 0 for v in lengths):
-                raise ValueError(f"{item.name.removesuffix('_m')} must be positive, got {value}")
+                raise ValueError(f"{name} must be positive, got {value}")
+            if item.name.endswith("_m") and min(lengths) < _SMALLEST_M:
+                raise ValueError(f"{name} must be at least {_SMALLEST_M:g} to be drawn, got {value}")
 
 
 @dataclass(frozen=True)
@@ -233,6 +239,8 @@ def colour(value: str | tuple[float, float, float]) -> RGB:
     if isinstance(value, str):
         try:
             parts = ImageColor.getrgb(value)[:3]
+            if not all(0 <= part <= 255 for part in parts):
+                raise ValueError("beyond what colours can be")
         except ValueError:
             raise ValueError(f'must be a name, "#rrggbb" or three numbers 0 to 1, got {value!r}') from None
         light = linear_from_srgb(np.array(parts, np.uint8))
