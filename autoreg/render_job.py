@@ -88,7 +88,7 @@ def read_wish(wish: Wish) -> Scene:
     """
     scene = Scene() if wish.scene is None else read_scene(wish.scene)
     if wish.sun_deg is not None:
-        scene = replace(scene, light=replace(scene.light, sun_deg=wish.sun_deg))
+        scene = replace(scene, light=replace(scene.light, sun_deg=wish.sun_deg, shadow=None))
     return replace(scene, joints=scene.joints or wish.lines)
 
 
@@ -149,12 +149,18 @@ def render_into(
             )
         if wish.lens is not None:
             note("the preview has no depth of field; --dof needs POV-Ray")
+    sun = plan.staging.sun
+    if sun.sigma_deg is not None:
+        note(
+            f"the sun is estimated by the shadow: azimuth {sun.azimuth_deg:.1f}° ± {sun.sigma_deg[0]:.1f}°, "
+            f"elevation {sun.elevation_deg:.1f}° ± {sun.sigma_deg[1]:.1f}°"
+        )
     if engine.name == "povray" and (widest := _widest_blur_px(plan)) is not None:
         note(f"depth of field: points of the objects become discs up to {widest:.1f} px wide")
     tell(f"rendering with {engine.name}")
     made = render(engine, plan, colour)
     written = [write_png(folder / PICTURES[0], made.layer), write_png(folder / PICTURES[1], made.composite)]
-    return RenderReport(made.engine, PICTURES, made.check), written
+    return RenderReport(made.engine, PICTURES, made.check, plan.staging.sun), written
 
 
 def run_render(

@@ -16,6 +16,8 @@ RGB = tuple[float, float, float]
 
 # Smaller shapes are lost to rounding.
 _SMALLEST_M = 1e-6
+# Under a lower sun shadows reach beyond any picture.
+LOWEST_SUN_DEG = 5.0
 
 
 class _Sized:
@@ -183,24 +185,37 @@ class Object:
 
 
 @dataclass(frozen=True)
+class CastShadow:
+    """Pixels of the photo: foot and top of something upright on the ground, and the tip of its shadow."""
+
+    foot_px: tuple[float, float]
+    top_px: tuple[float, float]
+    tip_px: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Light:
     """The light of a scene.
 
     Attributes:
-        sun_deg: azimuth from X towards Y and elevation of the sun; None is a sun behind the camera's left
-            shoulder.
+        sun_deg: azimuth from X towards Y and elevation of the sun; None leaves it to `shadow`, or without
+            one to a sun behind the camera's left shoulder.
         sky: part of the light on level open ground that comes from the whole sky, 0 to 1.
         exposure: what a white sheet on open ground would show as, linear; None judges it by the photo.
+        shadow: a shadow in the photo that shows where the sun stood.
     """
 
     sun_deg: tuple[float, float] | None = None
     sky: float = 0.28
     exposure: float | None = None
+    shadow: CastShadow | None = None
 
     def __post_init__(self) -> None:
+        if self.sun_deg is not None and self.shadow is not None:
+            raise ValueError("shadow and sun both say where the sun stands; give one of them")
         if self.sun_deg is not None:
             azimuth, elevation = self.sun_deg
-            if not (math.isfinite(azimuth) and 5 <= elevation <= 90):
+            if not (math.isfinite(azimuth) and LOWEST_SUN_DEG <= elevation <= 90):
                 raise ValueError(
                     "sun must be an azimuth and an elevation of 5 to 90 degrees, "
                     f"got {azimuth:g}, {elevation:g}"

@@ -15,6 +15,7 @@ from autoreg.rendering.objects import (
     FINISHES,
     RGB,
     Box,
+    CastShadow,
     Cone,
     Cylinder,
     Light,
@@ -57,7 +58,8 @@ _SHAPE_KEYS = {
 }
 _PLACES = ("slab", "ground", "pixel")
 _COMMON = ("name", "shape", *_PLACES, "offset", "turn", "lift", "colour", "color", "image", "finish")
-_LIGHT_KEYS = ("sun", "sky", "exposure")
+_LIGHT_KEYS = ("sun", "shadow", "sky", "exposure")
+_SHADOW_KEYS = ("foot", "top", "tip")
 _TOP_KEYS = ("joints", "joint_colour", "focus", "light", "object")
 
 
@@ -113,6 +115,8 @@ def _light(table: Table) -> Light:
     table.known(_LIGHT_KEYS)
     sun = table.get("sun", numbers(2), None)
     values: dict[str, Any] = {}
+    if "shadow" in table.content:
+        values["shadow"] = table.need("shadow", _as_shadow)
     if "sky" in table.content:
         values["sky"] = table.need("sky", as_number)
     if "exposure" in table.content:
@@ -219,6 +223,13 @@ def _material(table: Table) -> Material:
         )
     finish = table.get("finish", one_of(tuple(FINISHES)), None)
     return Material(table.get(key, _as_colour, (0.6, 0.6, 0.6)), image, finish)
+
+
+def _as_shadow(value: Any) -> CastShadow:
+    if not isinstance(value, dict) or set(value) != set(_SHADOW_KEYS):
+        raise ValueError("must say foot, top and tip: { foot = [u, v], top = [u, v], tip = [u, v] }")
+    foot, top, tip = (pair(value[key]) for key in _SHADOW_KEYS)
+    return CastShadow(foot, top, tip)
 
 
 def _as_colour(value: Any) -> RGB:

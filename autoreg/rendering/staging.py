@@ -30,6 +30,7 @@ from autoreg.rendering.objects import (
     Text,
     Torus,
 )
+from autoreg.rendering.sun import Sun, sun_for
 from autoreg.rendering.surface import (
     Surface,
     box_surface,
@@ -107,6 +108,7 @@ class Staging:
     """What is drawn."""
 
     solids: tuple[Solid, ...]
+    sun: Sun
     lamps: Lamps
     joints: bool = False
     joint_colour: RGB = (1.0, 0.7, 0.0)
@@ -144,7 +146,8 @@ def stage(
         photo: the photo (BGR), by which the exposure is judged if the scene does not give it.
 
     Raises:
-        InputError: an object would stand behind the camera, out of the picture, or nowhere.
+        InputError: an object would stand behind the camera, out of the picture, or nowhere; or a shadow
+            that is to show the sun does not.
     """
     solids = tuple(Solid(thing, _foot(thing, view, lattice)) for thing in scene.objects)
     for solid in solids:
@@ -152,8 +155,9 @@ def stage(
     exposure = scene.light.exposure
     if exposure is None:
         exposure = 1.0 if photo is None else judged_exposure(photo, view, lattice)
-    lamps = lamps_for(scene.light, view, exposure)
-    return Staging(solids, lamps, scene.joints, scene.joint_colour)
+    sun = sun_for(scene.light, view)
+    lamps = lamps_for(scene.light, sun, exposure)
+    return Staging(solids, sun, lamps, scene.joints, scene.joint_colour)
 
 
 def focused(staging: Staging, focus: Focus | None) -> Staging:
@@ -161,18 +165,9 @@ def focused(staging: Staging, focus: Focus | None) -> Staging:
     return replace(staging, focus=focus)
 
 
-def lamps_for(light: Light, view: View, exposure: float) -> Lamps:
+def lamps_for(light: Light, sun: Sun, exposure: float) -> Lamps:
     """The lamps of a light."""
-    if light.sun_deg is None:
-        # The camera looks along its z axis; the sun stands 125 degrees to the left of that, 42 degrees high.
-        # A camera that looks straight down has the top of its picture ahead.
-        ahead = view.cam_from_ground.R[2] - view.cam_from_ground.R[1]
-        azimuth, elevation = np.arctan2(ahead[1], ahead[0]) + np.deg2rad(125), np.deg2rad(42)
-    else:
-        azimuth, elevation = np.deg2rad(light.sun_deg)
-    to_sun = np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    to_sun = sun.direction
     # Even heights on a golden-angle spiral: every lamp stands for the same piece of sky.
     n = np.arange(_SKY_LIGHTS)
     sine = _LOWEST_SINE + (1 - _LOWEST_SINE) * (n + 0.5) / _SKY_LIGHTS
