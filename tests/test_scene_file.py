@@ -117,6 +117,14 @@ BALL = '[[object]]\nshape = "sphere"\nradius = 0.2\nslab = [0, 0]\n'
         ("\njoint = true", 2, 'joint is not known; did you mean "joints"?'),
         ("[light]\nsun = [100]", 2, "sun in [light] must be 2 numbers"),
         ("[light]\nsun = [100, 2]", 2, "sun in [light] must be an azimuth and an elevation of 5 to 90"),
+        ("[light]\nshadow = 3", 2, "must say foot, top and tip"),
+        ("[light]\nshadow = { foot = [1, 2], top = [1, 2] }", 2, "must say foot, top and tip"),
+        ("[light]\nshadow = { foot = [1, 2], top = [1, 2], tip = [1] }", 2, "must be 2 numbers"),
+        (
+            "[light]\nsun = [9, 9]\nshadow = { foot = [1, 2], top = [1, 2], tip = [3, 2] }",
+            3,
+            "give one of them",
+        ),
         ("[light]\nsky = 3", 2, "sky in [light] must lie within"),
         ("[light]\nmoon = 3", 2, "moon in [light] is not known"),
         (BALL + "colr = 3", 5, 'colr in [[object]] 1 is not known; did you mean "color"?'),
@@ -267,7 +275,7 @@ COMPLETE = {
     st.dictionaries(
         st.sampled_from(["joints", "joint_colour", "focus", "light", "object"]), VALUES, max_size=1
     ),
-    st.dictionaries(st.sampled_from(["sun", "sky", "exposure"]), VALUES, max_size=1),
+    st.dictionaries(st.sampled_from(["sun", "shadow", "sky", "exposure"]), VALUES, max_size=1),
 )
 def test_whatever_a_scene_says_it_is_drawn_or_answered_in_words(shape, keys, top, light):
     table = {"shape": f'"{shape}"', "slab": "[0, 0]", **COMPLETE[shape]} | keys

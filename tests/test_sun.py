@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from handmade import CAMERA, POSE, distorted
+from handmade import CAMERA, POSE, distorted, shadow_of
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -10,15 +10,6 @@ from autoreg.rendering.sun import Sun, sun_by_shadow, sun_for
 from autoreg.view import View
 
 VIEW = View(CAMERA, POSE)
-
-
-def shadow_of(foot, height, azimuth_deg, elevation_deg, view=VIEW, lean=(0.0, 0.0)):
-    """The pixels of a post and of its shadow."""
-    top = np.array([*np.add(foot, lean), height])
-    to_sun = Sun(azimuth_deg, elevation_deg, "given").direction
-    tip = top - top[2] / to_sun[2] * to_sun
-    px = view.camera.project(view.cam_from_ground.apply(np.array([[*foot, 0.0], top, tip])))
-    return CastShadow(*map(tuple, px.tolist()))
 
 
 def turned(a, b):
