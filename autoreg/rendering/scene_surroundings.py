@@ -23,9 +23,9 @@ def light_text(lamps: Lamps) -> str:
 #declare Sun = {number(lamps.sun)};
 #declare Sky_Lamps = {len(lamps.to_sky)};
 #declare Sky_Each = {number(lamps.sky)};
-#declare Bounce = {number(lamps.bounce)};   // what the ground throws back onto everything
+#declare Bounce = {number(lamps.bounce)};   // part of it that the ground throws back up
 #declare Whitest = {number(lamps.whitest)};   // no real surface throws back all light
-#default {{ finish {{ ambient Whitest*Bounce*Exposure diffuse Whitest }} }}
+#default {{ finish {{ ambient 0 diffuse Whitest }} }}
 #declare Far = 1e6;
 light_source {{ Far*To_Sun rgb Exposure*Sun
   area_light 0.0093*Far*x, 0.0093*Far*y, 5, 5 adaptive 1 circular orient
@@ -35,6 +35,13 @@ light_source {{ Far*To_Sun rgb Exposure*Sun
 }}
 #for (N, 0, Sky_Lamps - 1)
   light_source {{ 1e5*Sky_Direction[N] rgb Exposure*Sky_Each parallel point_at <0, 0, 0> }}
+#end
+// The ground, evenly bright from below; nothing stands in its way.
+#for (N, 0, 11)
+  #local Down_ = (N + 0.5)/12;
+  #local Level_ = sqrt(1 - Down_*Down_);
+  light_source {{ 1e5*<Level_*cos(2.4*N), Level_*sin(2.4*N), -Down_> rgb Exposure*Bounce/6
+    parallel point_at <0, 0, 0> shadowless }}
 #end
 """
 

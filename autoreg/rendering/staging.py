@@ -44,8 +44,9 @@ from autoreg.view import View
 _SKY_LIGHTS, _LOWEST_SINE = 24, 0.35
 # No real surface throws back all light: a colour of 1 is that of white paint.
 _WHITEST = 0.85
-# Light that the ground throws back onto every surface, as a part of what falls on it.
-_BOUNCE = 0.12
+# Part of the light on the ground that it throws back up: that of usual paving, less a fifth for the shade in
+# which objects stand themselves.
+_BOUNCE = 0.4
 # Part of the light that usual paving throws back: by it the photo's exposure is judged.
 _PAVING_ALBEDO = 0.5
 
@@ -86,7 +87,8 @@ class Lamps:
     """The light on the scene, as far lamps: the sun, and the sky in pieces.
 
     A surface with normal n shows colour * whitest * exposure * (sun max(0, n.to_sun)
-    + sum of sky max(0, n.to_sky) + bounce); sun and sky together give 1 on level open ground.
+    + sum of sky max(0, n.to_sky) + bounce (1 - n_z) / 2); sun and sky together give 1 on level open ground,
+    which throws `bounce` of that back up evenly.
     """
 
     to_sun: Float[np.ndarray, "3"]
