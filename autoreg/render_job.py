@@ -18,12 +18,13 @@ from autoreg.exif import read_exif
 from autoreg.image import load_photo
 from autoreg.outputs import usable_folder, write_png, write_whole
 from autoreg.rendering.demo import demo_objects
+from autoreg.rendering.depth_of_field import Focus, blur_px
 from autoreg.rendering.engine import Plan
 from autoreg.rendering.objects import Scene
 from autoreg.rendering.povray_engine import write_image
 from autoreg.rendering.render import EngineName, choose_engine, plan_render, render
 from autoreg.rendering.scene_file import read_scene
-from autoreg.rendering.staging import Focus, Staging, focused, stage
+from autoreg.rendering.staging import Staging, focused, stage
 from autoreg.report import RenderReport, Report, render_report, report_text
 from autoreg.view import View
 
@@ -87,7 +88,7 @@ def read_wish(wish: Wish) -> Scene:
     """
     scene = Scene() if wish.scene is None else read_scene(wish.scene)
     if wish.sun_deg is not None:
-        scene = replace(scene, light=replace(scene.light, sun_deg=wish.sun_deg))
+        scene = replace(scene, light=replace(scene.light, sun_deg=wish.sun_deg, shadow=None))
     return replace(scene, joints=scene.joints or wish.lines)
 
 
@@ -148,10 +149,18 @@ def render_into(
             )
         if wish.lens is not None:
             note("the preview has no depth of field; --dof needs POV-Ray")
+    sun = plan.staging.sun
+    if sun.sigma_deg is not None:
+        note(
+            f"the sun is estimated by the shadow: azimuth {sun.azimuth_deg:.1f}° ± {sun.sigma_deg[0]:.1f}°, "
+            f"elevation {sun.elevation_deg:.1f}° ± {sun.sigma_deg[1]:.1f}°"
+        )
+    if engine.name == "povray" and (widest := _widest_blur_px(plan)) is not None:
+        note(f"depth of field: points of the objects become discs up to {widest:.1f} px wide")
     tell(f"rendering with {engine.name}")
     made = render(engine, plan, colour)
     written = [write_png(folder / PICTURES[0], made.layer), write_png(folder / PICTURES[1], made.composite)]
-    return RenderReport(made.engine, PICTURES, made.check), written
+    return RenderReport(made.engine, PICTURES, made.check, plan.staging.sun), written
 
 
 def run_render(
@@ -249,6 +258,14 @@ def _focus(
     if not view.cam_from_ground.apply(point)[2] > 0:
         raise InputError("focus lies behind the camera; choose a ground point in the picture")
     return Focus(focal_mm / 1000.0 / f_number, point)
+
+
+def _widest_blur_px(plan: Plan) -> float | None:
+    """Width of the widest disc of blur on an object; None without depth of field or objects."""
+    focus, solids = plan.staging.focus, plan.staging.solids
+    if focus is None or not solids:
+        return None
+    return float(np.nanmax(blur_px(plan.view, focus, np.stack([solid.corners for solid in solids]))))
 
 
 def _middle_of_ground(view: View) -> Float[np.ndarray, "3"]:

@@ -16,6 +16,7 @@ from autoreg.alignment import Alignment
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.rendering.check import RenderCheck
+from autoreg.rendering.sun import Sun
 
 SCHEMA_VERSION = 1
 
@@ -36,11 +37,12 @@ _PACKAGES = {
 
 @dataclass(frozen=True)
 class RenderReport:
-    """What a render made: file names beside the report, and how well its camera agrees."""
+    """What a render made: file names beside the report, how well its camera agrees, and its sun."""
 
     engine: str
     files: tuple[str, ...]
     check: RenderCheck | None
+    sun: Sun | None = None
 
 
 def aligned_report(photo: Path, alignment: Alignment, render: RenderReport | None) -> Report:
@@ -138,6 +140,17 @@ def render_report(render: RenderReport) -> Report:
         "check": None
         if check is None
         else {"rms_px": _plain(check.rms_px), "max_px": _plain(check.max_px), "samples": check.samples},
+        "sun": None if render.sun is None else _sun(render.sun),
+    }
+
+
+def _sun(sun: Sun) -> Report:
+    """Where the sun of the picture stands, and why there; an estimate has its standard deviations."""
+    return {
+        "azimuth_deg": _plain(sun.azimuth_deg),
+        "elevation_deg": _plain(sun.elevation_deg),
+        "source": sun.source,
+        "sigma_deg": None if sun.sigma_deg is None else [_plain(s) for s in sun.sigma_deg],
     }
 
 

@@ -12,9 +12,10 @@ from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
 from autoreg.rendering.demo import demo_objects
 from autoreg.rendering.engine import Plan
-from autoreg.rendering.objects import Light, Scene
+from autoreg.rendering.objects import CastShadow, Light, Scene
 from autoreg.rendering.render import plan_render
 from autoreg.rendering.staging import stage
+from autoreg.rendering.sun import Sun
 from autoreg.view import View
 
 LENS = (-0.18, 0.05, 0.0006, -0.0009)
@@ -88,3 +89,20 @@ def plan_for(
         scene = Scene(demo_objects(view, found.lattice), Light(exposure=0.7))
     photo = photo_for(view.camera) if photo is None else photo
     return plan_render(found, stage(scene, view, found.lattice, photo), photo)
+
+
+def shadow_of(
+    foot: tuple[float, float],
+    height: float,
+    azimuth_deg: float,
+    elevation_deg: float,
+    view: View | None = None,
+    lean: tuple[float, float] = (0.0, 0.0),
+) -> CastShadow:
+    """The pixels of a post and of its shadow."""
+    view = view or View(CAMERA, POSE)
+    top = np.array([*np.add(foot, lean), height])
+    to_sun = Sun(azimuth_deg, elevation_deg, "given").direction
+    tip = top - top[2] / to_sun[2] * to_sun
+    px = view.camera.project(view.cam_from_ground.apply(np.array([[*foot, 0.0], top, tip])))
+    return CastShadow(*map(tuple, px.tolist()))

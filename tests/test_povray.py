@@ -24,13 +24,14 @@ from autoreg.camera import Camera
 from autoreg.errors import RenderError
 from autoreg.rendering import povray
 from autoreg.rendering.check import check_render
+from autoreg.rendering.depth_of_field import Focus, blur_px
 from autoreg.rendering.layer import Layer, linear_from_srgb
 from autoreg.rendering.objects import Light, Material, Object, OnSlab, Scene, Sphere, UnderPixel
 from autoreg.rendering.povray import find_povray, run_povray
 from autoreg.rendering.povray_engine import PovrayEngine
 from autoreg.rendering.preview import PreviewEngine
 from autoreg.rendering.render import choose_engine, plan_render, render, staged_window
-from autoreg.rendering.staging import Focus, focused
+from autoreg.rendering.staging import focused
 from autoreg.view import View, Window
 
 needs_povray = pytest.mark.skipif(find_povray() is None, reason="POV-Ray is not installed")
@@ -226,7 +227,54 @@ def test_depth_of_field_blurs_what_is_near_and_moves_no_joint(tmp_path):
     assert blurred.samples > 10
     assert blurred.rms_px < 0.02
     assert sharp.rms_px < 0.02
-    assert "aperture Aperture focal_point Focus_On" in blurred_plan.files.text
+
+
+@needs_povray
+@pytest.mark.parametrize(
+    "window", [Window(0, 0, 640, 480), Window(330, 190, 300, 280)], ids=["whole", "part"]
+)
+def test_povrays_lens_blurs_as_wide_as_a_real_one(window, tmp_path):
+    # A point of focus far from the middle of what is rendered, so that depth and distance differ.
+    lens = Focus(0.1, np.array([1.6, 1.9, 0.0]))
+    spot = np.array([0.5, -0.5, 0.0])
+    mark = (spot + 0.06 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))[None, :, :2]
+    spread = []
+    for plan in (plan_for(Scene()), plan_for_focus(plan_for(Scene()), lens)):
+        found = engine(tmp_path).draw_marks(plan, mark, window, window.width, window.height)
+        spread.append([(found * (x - (found * x).sum() / found.sum()) ** 2).sum() / found.sum()
+                       for x in np.indices(found.shape)])  # fmt: skip
+    expected = blur_px(View(CAMERA, POSE), lens, spot[None])[0]
+    assert expected > 8
+    # An even disc's variance is its width squared over 16. POV-Ray's samples leave its rim out.
+    width = 4 * np.sqrt(np.diff(spread, axis=0)[0])
+    assert width[::-1] == pytest.approx([expected, expected * CAMERA.fy / CAMERA.fx], rel=0.08)
+
+
+@needs_povray
+def test_a_shadow_out_of_focus_is_as_soft_as_povray_traces_it(tmp_path):
+    ball = Object("ball", Sphere(0.15), OnSlab(0, -2))
+    sharp = plan_for(Scene((ball,), Light((205.0, 50.0), exposure=0.7)))
+    plan = plan_for_focus(sharp, Focus(0.08, np.array([0.5, 1.8, 0.0])))
+    window = Window(360, 270, 120, 70)
+    ours, hard = (engine(tmp_path).draw(p, window) for p in (plan, sharp))
+    places = zip("XYWH", (window.x, window.y, window.width, window.height), strict=True)
+    options = ["+FN16", "+UA", "File_Gamma=1.0", "-J", *(f"Declare=Win_{k}={n}" for k, n in places)]
+    size = [f"+W{window.width}", f"+H{window.height}"]
+    run_scene(plan, tmp_path, *options, *size, "Declare=Pass=2", "Declare=Depth_Of_Field=1")
+    traced = cv2.imread(str(tmp_path / "out.png"), cv2.IMREAD_UNCHANGED)[..., :3].mean(-1) / 65535
+    bare = traced.max()
+    # Where the ball is not before it.
+    seen = (hard.light.sum(-1) == 0) & (ours.light.sum(-1) == 0)
+    assert (hard.transmission[seen] < 0.5).sum() > 400
+    away = (ours.transmission - traced / bare)[seen]
+    assert np.sqrt(np.mean(away**2)) < 0.01
+    assert np.sqrt(np.mean((hard.transmission - traced / bare)[seen] ** 2)) > 0.04
+
+
+@needs_povray
+def test_the_photo_is_not_blurred_again(tmp_path):
+    plan = plan_for_focus(plan_for(Scene(light=Light(exposure=0.63))), Focus(0.05, np.zeros(3)))
+    assert np.abs(run_scene(plan, tmp_path).astype(int) - plan.backdrop).max() == 0
 
 
 def plan_for_focus(plan, lens):

@@ -4,7 +4,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from handmade import CAMERA, ROWS, RUNNING, STACK, alignment, distorted, photo_for
+from handmade import CAMERA, ROWS, RUNNING, STACK, alignment, distorted, photo_for, shadow_of
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -79,6 +79,24 @@ def test_render_writes_the_scene_and_two_pictures_and_says_so_in_the_report(fold
     clear = layer[..., 3] == 0
     assert (composite[clear] == photo_for()[clear]).all()
     assert (~clear).sum() > 2000
+
+
+def test_the_sun_by_a_shadow_is_said_to_be_an_estimate(folder):
+    shadow = shadow_of((0.2, 0.1), 0.7, 205.0, 40.0)
+    pixels = {"foot": shadow.foot_px, "top": shadow.top_px, "tip": shadow.tip_px}
+    inside = ", ".join(f"{key} = [{u}, {v}]" for key, (u, v) in pixels.items())
+    Path("sunny.toml").write_text(f"[light]\nshadow = {{ {inside} }}\n{BALL}")
+    done = run("--scene", "sunny.toml")
+    assert done.exit_code == 0, done.stderr
+    assert "the sun is estimated by the shadow: azimuth" in done.stderr
+    sun = json.loads(Path("out/alignment.json").read_text())["render"]["sun"]
+    assert sun["source"] == "shadow"
+    assert sun["elevation_deg"] == pytest.approx(40.0, abs=1e-6)
+    assert 0 < min(sun["sigma_deg"]) <= max(sun["sigma_deg"]) < 5
+    # What is said on the command line holds.
+    assert run("--scene", "sunny.toml", "--sun", "10,50").exit_code == 0
+    sun = json.loads(Path("out/alignment.json").read_text())["render"]["sun"]
+    assert sun == {"azimuth_deg": 10.0, "elevation_deg": 50.0, "source": "given", "sigma_deg": None}
 
 
 def test_an_empty_scene_leaves_the_photo_bit_for_bit(folder):

@@ -1,8 +1,14 @@
 import re
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from handmade import plan_for
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import ImageFont
 
 from autoreg.errors import InputError
 from autoreg.rendering.objects import (
@@ -111,6 +117,14 @@ BALL = '[[object]]\nshape = "sphere"\nradius = 0.2\nslab = [0, 0]\n'
         ("\njoint = true", 2, 'joint is not known; did you mean "joints"?'),
         ("[light]\nsun = [100]", 2, "sun in [light] must be 2 numbers"),
         ("[light]\nsun = [100, 2]", 2, "sun in [light] must be an azimuth and an elevation of 5 to 90"),
+        ("[light]\nshadow = 3", 2, "must say foot, top and tip"),
+        ("[light]\nshadow = { foot = [1, 2], top = [1, 2] }", 2, "must say foot, top and tip"),
+        ("[light]\nshadow = { foot = [1, 2], top = [1, 2], tip = [1] }", 2, "must be 2 numbers"),
+        (
+            "[light]\nsun = [9, 9]\nshadow = { foot = [1, 2], top = [1, 2], tip = [3, 2] }",
+            3,
+            "give one of them",
+        ),
         ("[light]\nsky = 3", 2, "sky in [light] must lie within"),
         ("[light]\nmoon = 3", 2, "moon in [light] is not known"),
         (BALL + "colr = 3", 5, 'colr in [[object]] 1 is not known; did you mean "color"?'),
@@ -135,6 +149,12 @@ BALL = '[[object]]\nshape = "sphere"\nradius = 0.2\nslab = [0, 0]\n'
         ('[[object]]\nshape = "mesh"\nfile = "x.ply"\nslab = [0, 0]', 3, "does not exist"),
         ("[object]\nshape = 'box'", 1, "must be written as [[object]]"),
         ("x = = 1", 1, "not valid TOML"),
+        ('joint_colour = "rgb(300, 0, 0)"', 1, 'must be a name, "#rrggbb" or three numbers'),
+        (BALL.replace("0.2", "1e-9"), 3, "must be at least 1e-06"),
+        (BALL.replace("0.2", "9" * 400), 3, "must lie within"),
+        (BALL.replace("0.2", "nan"), 3, "must be a number"),
+        (BALL + 'image = "."', 5, "is no file"),
+        (BALL + f'image = "{"a" * 5000}"', 5, "does not exist"),
     ],
 )
 def test_a_mistake_is_named_with_its_line(text, line, words, tmp_path):
@@ -143,6 +163,131 @@ def test_a_mistake_is_named_with_its_line(text, line, words, tmp_path):
     said = str(caught.value)
     assert words in said
     assert re.search(rf"line {line}\b", said), said
+
+
+@pytest.mark.parametrize("text", ["x = " + "[" * 5000, "x = " + "9" * 5000])
+def test_what_the_parser_itself_chokes_on_is_an_input_error(text, tmp_path):
+    with pytest.raises(InputError, match=r"mine\.toml is not valid"):
+        parse_scene(text, tmp_path, "mine.toml")
+
+
+def test_a_mark_before_the_text_is_not_part_of_it(tmp_path):
+    (tmp_path / "scene.toml").write_bytes(b"\xef\xbb\xbfjoints = true")
+    assert read_scene(tmp_path / "scene.toml").joints
+
+
+@pytest.mark.parametrize("damage", ["cut", "zeroed", "empty"])
+def test_a_damaged_font_is_named(damage, tmp_path):
+    whole = ImageFont.load_default(size=10).font_bytes
+    broken = {"cut": whole[: len(whole) // 2], "zeroed": whole[:300] + bytes(len(whole) - 300), "empty": b""}
+    (tmp_path / "bad.ttf").write_bytes(broken[damage])
+    text = '[[object]]\nshape = "text"\ntext = "Ab"\nheight = 1\nslab = [0, 0]\nfont = "bad.ttf"'
+    with pytest.raises(InputError, match=r"line 6: font .*bad\.ttf cannot be read"):
+        parse_scene(text, tmp_path)
+
+
+# Values that some key wants and others do not, at and beyond what is allowed.
+VALUES = st.sampled_from(
+    [
+        "0",
+        "-1",
+        "1",
+        "0.2",
+        "1e-300",
+        "1e9",
+        "1e300",
+        "inf",
+        "nan",
+        "true",
+        '""',
+        '"x"',
+        "[]",
+        "[1]",
+        "[1,2]",
+        "[0.1,0.2,0.3]",
+        "[1,2,3,4]",
+        "[[1],2]",
+        '["a","b"]',
+        "{}",
+        "{a=1}",
+        "2024-01-01",
+        '"white"',
+        '"hsv(999,200%,500%)"',
+        '"#12"',
+        '"box"',
+        '"y"',
+        '"Mirror"',
+        "[0,0]",
+        "[-0.6,-2.6]",
+        "[-1e9,0]",
+        "[0,1e300]",
+        "[320,240]",
+        "[320,1]",
+        "[9e8,9e8]",
+        "[2,-1]",
+        '"flat.obj"',
+        '"."',
+        '"a/\\u0000b"',
+        '"\\u6f22\\n"',
+    ]
+)
+KEYS = st.sampled_from(
+    [
+        "name",
+        "slab",
+        "ground",
+        "pixel",
+        "offset",
+        "turn",
+        "lift",
+        "colour",
+        "color",
+        "image",
+        "finish",
+        "size",
+        "radius",
+        "height",
+        "top_radius",
+        "tube",
+        "text",
+        "depth",
+        "font",
+        "file",
+        "scale",
+        "up",
+        "shape",
+    ]
+)
+COMPLETE = {
+    "box": {"size": "[0.3, 0.3, 0.3]"},
+    "sphere": {"radius": "0.2"},
+    "cone": {"radius": "0.2", "height": "0.3"},
+    "torus": {"radius": "0.2", "tube": "0.05"},
+    "text": {"text": '"Ab"', "height": "0.2"},
+    "mesh": {"file": '"flat.obj"'},
+}
+
+
+@settings(deadline=None, derandomize=True, max_examples=300)
+@given(
+    st.sampled_from(sorted(COMPLETE)),
+    st.dictionaries(KEYS, VALUES, max_size=2),
+    st.dictionaries(
+        st.sampled_from(["joints", "joint_colour", "focus", "light", "object"]), VALUES, max_size=1
+    ),
+    st.dictionaries(st.sampled_from(["sun", "shadow", "sky", "exposure"]), VALUES, max_size=1),
+)
+def test_whatever_a_scene_says_it_is_drawn_or_answered_in_words(shape, keys, top, light):
+    table = {"shape": f'"{shape}"', "slab": "[0, 0]", **COMPLETE[shape]} | keys
+    parts = [(top, ""), (light, "[light]"), (table, "[[object]]")]
+    text = "\n".join("\n".join([head, *(f"{k} = {v}" for k, v in part.items())]) for part, head in parts)
+    with tempfile.TemporaryDirectory() as folder:
+        Path(folder, "flat.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        try:
+            answer = plan_for(parse_scene(text, Path(folder))).files.text
+        except InputError as error:
+            answer = str(error)
+    assert len(answer) > 20
 
 
 def test_a_missing_file_is_an_input_error(tmp_path):

@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 
 from autoreg.lattice import Lattice
 from autoreg.layout import slab_sides
+from autoreg.rendering.depth_of_field import Focus, blur_px
 from autoreg.rendering.engine import Engine, Plan
 from autoreg.rendering.lens import bend, straight_window
-from autoreg.rendering.staging import Focus
 from autoreg.view import View, Window
 
 # Marks are this wide in the picture: enough that every pixel they touch has a corner in them, which is
@@ -106,7 +106,7 @@ def choose_marks(view: View, lattice: Lattice, focus: Focus | None = None) -> Ma
     fits &= 2 * half * np.linalg.norm(moved, axis=-1) < 2 * _WIDTH_PX
     fits &= ((middle_px > 3 * _REACH_PX) & (middle_px < room)).all(-1)
     if focus is not None:
-        fits &= blur_px(view, focus, middle) < _MOST_BLUR_PX
+        fits &= blur_px(view, focus, np.pad(middle, ((0, 0), (0, 1)))) < _MOST_BLUR_PX
 
     family = (np.abs(along[:, 0]) < np.abs(along[:, 1])).astype(np.int64)
     kept = _spread(view, np.flatnonzero(fits), family, length, middle_px, ends)
@@ -119,14 +119,6 @@ def choose_marks(view: View, lattice: Lattice, focus: Focus | None = None) -> Ma
     along_it = np.linspace(-0.5, 0.5, 9)[:, None] * (short[:, None, 1] - short[:, None, 0]) + middle[:, None]
     edges = np.stack([along_it - offset, along_it + offset], 1)
     return Marks(ground, view.project(edges), middle_px[kept])
-
-
-def blur_px(view: View, focus: Focus, ground: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-    """Diameter in the picture of a ground point's disc of blur: f A |1/focus - 1/depth| with depths."""
-    depth = view.cam_from_ground.apply(np.concatenate([ground, np.zeros((len(ground), 1))], -1))[:, 2]
-    at = float(view.cam_from_ground.apply(focus.point)[2])
-    with np.errstate(divide="ignore"):
-        return view.camera.fx * focus.aperture_m * np.abs(1.0 / at - 1.0 / depth)
 
 
 def mark_distances(coverage: Float[np.ndarray, "h w"], marks: Marks) -> Float[np.ndarray, " n"]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import mapbox_earcut
 import numpy as np
 from fontTools.pens.recordingPen import DecomposingRecordingPen
-from fontTools.ttLib import TTFont, TTLibError
+from fontTools.ttLib import TTFont
 from jaxtyping import Float
 from PIL import ImageFont
 
@@ -30,20 +31,13 @@ def text_surface(text: str, height: float, depth: float, font: Path | None) -> S
     Raises:
         ValueError: the font cannot be read, or lacks a letter.
     """
-    loaded = _load_font(font)
-    names = loaded.getBestCmap() or {}
-    missing = sorted({letter for letter in text if ord(letter) not in names})
-    if missing:
-        raise ValueError(f"the font has no letter {' '.join(map(repr, missing))}; give another with font")
-    glyphs = loaded.getGlyphSet()
-    capital = _rings(glyphs, names[ord("H")]) if ord("H") in names else []
-    size = np.concatenate(capital).max(0)[1] if capital else 0.7 * _units_per_em(loaded)
+    letters = _read_letters(text, font)
+    size = letters.capital_height
     along, parts = 0.0, [np.empty((0, 3, 3))]
     for letter in text:
-        name = names[ord(letter)]
-        for outline in _outlines(_rings(glyphs, name)):
+        for outline in _outlines(letters.rings[letter]):
             parts.append(_solid([ring + np.array([along, 0.0]) for ring in outline], depth * size / height))
-        along += glyphs[name].width
+        along += letters.widths[letter]
     corners = np.concatenate(parts) * height / size
     if not len(corners):
         raise ValueError(f"text {text!r} has no letter that can be seen")
@@ -53,15 +47,46 @@ def text_surface(text: str, height: float, depth: float, font: Path | None) -> S
     return Surface(corners, flat_normals(corners), uv)
 
 
-def _load_font(path: Path | None) -> TTFont:
+@dataclass(frozen=True)
+class _Letters:
+    """Outlines and widths of letters, in the font's own unit."""
+
+    rings: dict[str, list[Float[np.ndarray, "_ 2"]]]
+    widths: dict[str, float]
+    capital_height: float
+
+
+def _read_letters(text: str, path: Path | None) -> _Letters:
+    """What a font says of the letters of a text.
+
+    Raises:
+        ValueError: the font cannot be read, or lacks a letter.
+    """
     try:
-        if path is not None:
-            return TTFont(path, fontNumber=0)
-        built_in = ImageFont.load_default(size=10)
-        assert isinstance(built_in, ImageFont.FreeTypeFont), "Pillow was built without FreeType"
-        return TTFont(io.BytesIO(built_in.font_bytes))
-    except (OSError, TTLibError) as error:
-        raise ValueError(f"font {path} cannot be read: {error}") from error
+        font = _open_font(path)
+        names: dict[int, str] = font.getBestCmap() or {}
+        glyphs = font.getGlyphSet()
+        there = {letter: names[ord(letter)] for letter in text if ord(letter) in names}
+        rings = {letter: _rings(glyphs, name) for letter, name in there.items()}
+        widths = {letter: float(glyphs[name].width) for letter, name in there.items()}
+        capital = np.concatenate([np.zeros((1, 2)), *_rings(glyphs, names.get(ord("H"), ".notdef"))])
+        height = float(capital[:, 1].max()) if ord("H") in names else 0.7 * _units_per_em(font)
+    except Exception as error:
+        # A damaged font fails in many ways, each table in its own.
+        raise ValueError(f"font {path} cannot be read ({error or type(error).__name__})") from error
+    if missing := sorted(set(text) - set(there)):
+        raise ValueError(f"the font has no letter {' '.join(map(repr, missing))}; give another with font")
+    if not height > 0:
+        raise ValueError(f"font {path} has capital letters without a height; take another")
+    return _Letters(rings, widths, height)
+
+
+def _open_font(path: Path | None) -> TTFont:
+    if path is not None:
+        return TTFont(path, fontNumber=0)
+    built_in = ImageFont.load_default(size=10)
+    assert isinstance(built_in, ImageFont.FreeTypeFont), "Pillow was built without FreeType"
+    return TTFont(io.BytesIO(built_in.font_bytes))
 
 
 def _units_per_em(font: TTFont) -> float:

@@ -14,6 +14,11 @@ from autoreg.rendering.surface import Surface
 
 RGB = tuple[float, float, float]
 
+# Smaller shapes are lost to rounding.
+_SMALLEST_M = 1e-6
+# Under a lower sun shadows reach beyond any picture.
+LOWEST_SUN_DEG = 5.0
+
 
 class _Sized:
     """A shape whose lengths in metres have to be positive."""
@@ -22,8 +27,11 @@ class _Sized:
         for item in fields(self):  # pyright: ignore[reportArgumentType]  # every subclass is a dataclass
             value = getattr(self, item.name)
             lengths = value if isinstance(value, tuple) else (value,)
+            name = item.name.removesuffix("_m")
             if item.name.endswith("_m") and not all(math.isfinite(v) and v > 0 for v in lengths):
-                raise ValueError(f"{item.name.removesuffix('_m')} must be positive, got {value}")
+                raise ValueError(f"{name} must be positive, got {value}")
+            if item.name.endswith("_m") and min(lengths) < _SMALLEST_M:
+                raise ValueError(f"{name} must be at least {_SMALLEST_M:g} to be drawn, got {value}")
 
 
 @dataclass(frozen=True)
@@ -177,24 +185,37 @@ class Object:
 
 
 @dataclass(frozen=True)
+class CastShadow:
+    """Pixels of the photo: foot and top of something upright on the ground, and the tip of its shadow."""
+
+    foot_px: tuple[float, float]
+    top_px: tuple[float, float]
+    tip_px: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Light:
     """The light of a scene.
 
     Attributes:
-        sun_deg: azimuth from X towards Y and elevation of the sun; None is a sun behind the camera's left
-            shoulder.
+        sun_deg: azimuth from X towards Y and elevation of the sun; None leaves it to `shadow`, or without
+            one to a sun behind the camera's left shoulder.
         sky: part of the light on level open ground that comes from the whole sky, 0 to 1.
         exposure: what a white sheet on open ground would show as, linear; None judges it by the photo.
+        shadow: a shadow in the photo that shows where the sun stood.
     """
 
     sun_deg: tuple[float, float] | None = None
     sky: float = 0.28
     exposure: float | None = None
+    shadow: CastShadow | None = None
 
     def __post_init__(self) -> None:
+        if self.sun_deg is not None and self.shadow is not None:
+            raise ValueError("shadow and sun both say where the sun stands; give one of them")
         if self.sun_deg is not None:
             azimuth, elevation = self.sun_deg
-            if not (math.isfinite(azimuth) and 5 <= elevation <= 90):
+            if not (math.isfinite(azimuth) and LOWEST_SUN_DEG <= elevation <= 90):
                 raise ValueError(
                     "sun must be an azimuth and an elevation of 5 to 90 degrees, "
                     f"got {azimuth:g}, {elevation:g}"
@@ -233,6 +254,8 @@ def colour(value: str | tuple[float, float, float]) -> RGB:
     if isinstance(value, str):
         try:
             parts = ImageColor.getrgb(value)[:3]
+            if not all(0 <= part <= 255 for part in parts):
+                raise ValueError("beyond what colours can be")
         except ValueError:
             raise ValueError(f'must be a name, "#rrggbb" or three numbers 0 to 1, got {value!r}') from None
         light = linear_from_srgb(np.array(parts, np.uint8))

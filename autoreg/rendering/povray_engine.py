@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from autoreg.errors import RenderError
 from autoreg.rendering import povray, scene
+from autoreg.rendering.depth_of_field import defocused_ground
 from autoreg.rendering.engine import Plan
 from autoreg.rendering.layer import Layer
 from autoreg.rendering.povray import Progress
@@ -26,7 +27,7 @@ _PICTURE = ["-D", "+FN16", "+UA", "File_Gamma=1.0", "-J"]
 # finely for outlines, less so for shadows, which the sun's and the sky's width make soft.
 _FINE, _SHADOW, _MARKS = ["+A0.01", "+AM2", "+R3"], ["+A0.03", "+AM2", "+R3"], ["+A0.003", "+AM2", "+R5"]
 # Focal blur has its own samples, each of which any division would take anew.
-_BLURRED = ["-A"]
+_DEFOCUSED = ["-A"]
 # Of the whole, what each pass usually takes, for the progress bar.
 _PART = {scene.PASS_SOLIDS: (0.0, 0.4), scene.PASS_SHADOWED_GROUND: (0.4, 0.9), scene.PASS_MARKS: (0.9, 1.0)}
 
@@ -74,7 +75,7 @@ class PovrayEngine:
         """The part of its light that the shadowed ground keeps; 1 where no ground is."""
         if not plan.staging.solids:
             return np.ones((straight.height, straight.width))
-        shadowed = self._render(folder, straight, scene.PASS_SHADOWED_GROUND, _smooth(plan, _SHADOW))
+        shadowed = self._render(folder, straight, scene.PASS_SHADOWED_GROUND, _SHADOW)
         there = shadowed[..., 3]
         if not there.any():
             return np.ones((straight.height, straight.width))
@@ -87,7 +88,10 @@ class PovrayEngine:
         ratio = np.clip(shadowed[..., :3].mean(-1) / bare, 0.0, 1.0)
         # Two steps of 16 bits below 1 are rounding, and no shadow.
         ratio = np.where(ratio > 1 - 1e-4, 1.0, ratio)
-        return 1.0 - there * (1.0 - ratio)
+        kept = 1.0 - there * (1.0 - ratio)
+        focus = plan.staging.focus
+        # The ground hides nothing from itself, so that its blur need not be traced, which takes minutes.
+        return kept if focus is None else defocused_ground(kept, plan.view, straight, focus)
 
     @contextmanager
     def _folder(self, plan: Plan) -> Generator[Path]:
@@ -129,7 +133,7 @@ class PovrayEngine:
 
 
 def _smooth(plan: Plan, sharp: list[str]) -> list[str]:
-    return sharp if plan.staging.focus is None else _BLURRED
+    return sharp if plan.staging.focus is None else _DEFOCUSED
 
 
 def write_image(source: Path, target: Path) -> None:

@@ -160,7 +160,8 @@ def _irradiance(normal: Float[np.ndarray, "n 3"], lamps: Lamps) -> Float[np.ndar
     sun = lamps.sun * np.clip(normal @ lamps.to_sun, 0.0, None)
     # The lamps of the sky are many: their sum is that of an even sky, to a hundredth.
     sky = lamps.on_ground[1] * 0.5 * (1.0 + normal[:, 2])
-    return lamps.whitest * lamps.exposure * (sun + sky + lamps.bounce)
+    ground = lamps.bounce * 0.5 * (1.0 - normal[:, 2])
+    return lamps.whitest * lamps.exposure * (sun + sky + ground)
 
 
 def _weights(

@@ -13,6 +13,7 @@ from autoreg.alignment import Alignment
 from autoreg.errors import RenderError
 from autoreg.layout import lay_joints
 from autoreg.rendering.check import RenderCheck, check_render
+from autoreg.rendering.depth_of_field import blur_px
 from autoreg.rendering.engine import Engine, Plan
 from autoreg.rendering.layer import Layer, lay_over, layer_picture
 from autoreg.rendering.lens import bend, straight_window, straightened
@@ -120,8 +121,7 @@ def staged_window(plan: Plan) -> Window:
         return whole
     margin = 8
     if staging.focus is not None:
-        depth = view.cam_from_ground.apply(ground)[..., 2]
-        at = float(view.cam_from_ground.apply(staging.focus.point)[2])
-        blur = np.abs(1 / at - 1 / np.maximum(depth, 0.05 * at)).max()
-        margin += int(view.camera.fx * staging.focus.aperture_m * blur) + 1
+        # Outlines reach half a disc of blur farther; what fills the picture may be nearer than that.
+        widest = float(np.nanmax(blur_px(view, staging.focus, ground)))
+        margin += min(int(0.5 * widest) + 1, max(whole.width, whole.height))
     return window_around(px, margin).within(whole.width, whole.height)

@@ -11,8 +11,11 @@ from jaxtyping import Float
 from autoreg.alignment import Alignment
 from autoreg.lattice import Lattice
 from autoreg.layout import lay_joints, slab_side_x
-from autoreg.rendering.scene_objects import number, objects_text, reflects, vector
-from autoreg.rendering.staging import Focus, Lamps, Staging
+from autoreg.rendering.depth_of_field import Focus
+from autoreg.rendering.scene_objects import objects_text, reflects
+from autoreg.rendering.scene_surroundings import light_text, surroundings_text
+from autoreg.rendering.scene_words import number, vector
+from autoreg.rendering.staging import Staging
 from autoreg.view import View
 
 # What `Declare=Pass=n` asks of the scene.
@@ -51,12 +54,12 @@ def scene_files(alignment: Alignment, staging: Staging, backdrop: str) -> SceneF
     objects = objects_text(staging)
     text = "\n".join(
         [
-            _heading(alignment, backdrop, staging, reflects(staging)),
+            _heading(alignment, staging, reflects(staging)),
             _camera(view, staging.focus),
             _lattice(alignment.lattice),
             _joints(alignment.lattice, staging),
-            _light(staging.lamps),
-            _photo(backdrop, view, staging),
+            light_text(staging.lamps),
+            surroundings_text(backdrop, view, staging),
             objects.text,
             _PASSES,
         ]
@@ -75,7 +78,7 @@ def marks_text(marks_ground: Float[np.ndarray, "n 4 2"]) -> str:
     )
 
 
-def _heading(alignment: Alignment, backdrop: str, staging: Staging, mirrors: bool) -> str:
+def _heading(alignment: Alignment, staging: Staging, mirrors: bool) -> str:
     unit = "slab sides (the scale is not known)" if alignment.scale_source == "none" else "metres"
     lens = (
         "The photo's lens bends straight lines, which POV-Ray 3.7 cannot do, so the backdrop is the\n"
@@ -110,26 +113,7 @@ global_settings {{ assumed_gamma 1.0 max_trace_level 8 }}
 
 def _camera(view: View, focus: Focus | None) -> str:
     c, R = view.camera, view.cam_from_ground.R
-    blur = (
-        ""
-        if focus is None
-        else f"""
-// Depth of field: the opening of the lens in the scene's unit, and what it is focused on.
-#declare Aperture = {number(focus.aperture_m)};
-#declare Focus_On = {vector(focus.point)};
-// With focal blur POV-Ray samples each pixel 1/32 up and left of where it does without (measured): this
-// moves the picture back.
-#declare Blur_Shift = 1/32;
-"""
-    )
-    lens = (
-        ""
-        if focus is None
-        else (
-            "\n  aperture Aperture focal_point Focus_On blur_samples 10, 100 confidence 0.95 variance 1/10000"
-        )
-    )
-    shift = "" if focus is None else " + Blur_Shift"
+    blur, shift, lens = ("", "", "") if focus is None else _depth_of_field(focus)
     return f"""
 // --- Camera -----------------------------------------------------------------------------------------
 // Pixels of the photo: (0, 0) is the centre of the top-left one. Win_* choose a part of it to render.
@@ -155,6 +139,29 @@ def _camera(view: View, focus: Focus | None) -> str:
   + (Win_Y + (Win_H - 1)/2 - CY{shift})/FY*Axis_Down;
 camera {{ location Eye right Cam_Right up Cam_Up direction Cam_Direction{lens} }}
 """
+
+
+def _depth_of_field(focus: Focus) -> tuple[str, str, str]:
+    """Its constants, what it adds to the picture's place, and its part of the camera statement."""
+    constants = f"""
+// Depth of field: the opening of the lens in the scene's unit, and what it is focused on.
+#declare Aperture = {number(focus.aperture_m)};
+#declare Focus_On = {vector(focus.point)};
+// For the objects alone: the photo has its own blur already, and shadows on the ground get theirs later.
+#ifndef (Depth_Of_Field) #declare Depth_Of_Field = (Pass != 0 & Pass != 2 & Pass != 3); #end
+// With focal blur POV-Ray samples each pixel 1/32 up and left of where it does without (measured): this
+// moves the picture back.
+#declare Blur_Shift = Depth_Of_Field/32;
+"""
+    lens = """
+  // Measured: POV-Ray's lens has half the opening that it is told, and is focused at the distance, not at
+  // the depth, of its focal_point.
+  #if (Depth_Of_Field)
+    aperture 2*Aperture focal_point Eye + vdot(Focus_On - Eye, Axis_Forward)*Cam_Direction
+    blur_samples 10, 100 confidence 0.95 variance 1/10000
+  #end
+"""
+    return constants, " + Blur_Shift", lens
 
 
 def _lattice(lattice: Lattice) -> str:
@@ -213,104 +220,6 @@ def _joints(lattice: Lattice, staging: Staging) -> str:
 def drawn_joint_width(lattice: Lattice) -> float:
     """Width of the lines on the joints."""
     return lattice.joint_width if lattice.joint_width > 0 else 0.01 * lattice.spacing_y
-
-
-def _light(lamps: Lamps) -> str:
-    sun, sky = lamps.on_ground
-    directions = ",\n".join(f"  {vector(np.round(way, 9))}" for way in lamps.to_sky)
-    return f"""
-// --- Light: the sun as wide as it is, and the whole sky as lamps that cast soft shadows ---------------
-// On level open ground the sun gives {sun:.2f} and the sky {sky:.2f} of the light; a sheet there that
-// throws all of it back would show as Exposure (linear).
-#declare Exposure = {number(lamps.exposure)};
-#declare To_Sun = {vector(lamps.to_sun)};
-#declare Sun = {number(lamps.sun)};
-#declare Sky_Lamps = {len(lamps.to_sky)};
-#declare Sky_Each = {number(lamps.sky)};
-#declare Bounce = {number(lamps.bounce)};   // what the ground throws back onto everything
-#declare Whitest = {number(lamps.whitest)};   // no real surface throws back all light
-#default {{ finish {{ ambient Whitest*Bounce*Exposure diffuse Whitest }} }}
-#declare Far = 1e6;
-light_source {{ Far*To_Sun rgb Exposure*Sun
-  area_light 0.0093*Far*x, 0.0093*Far*y, 5, 5 adaptive 1 circular orient
-}}
-#declare Sky_Direction = array[Sky_Lamps] {{
-{directions}
-}}
-#for (N, 0, Sky_Lamps - 1)
-  light_source {{ 1e5*Sky_Direction[N] rgb Exposure*Sky_Each parallel point_at <0, 0, 0> }}
-#end
-"""
-
-
-def _photo(name: str, view: View, staging: Staging) -> str:
-    far = 1e3 * max(1.0, abs(float(view.eye[2])))
-    centre, radius = shadow_disc(staging)
-    return f"""
-// --- Photo: far behind everything, and where shadows can fall also on the ground -----------------------
-#macro Backdrop()
-  #local S = {number(far)};
-  #local R_ = Photo_W/FX*Axis_Right;
-  #local U_ = -Photo_H/FY*Axis_Down;
-  #local D_ = Axis_Forward + ((Photo_W - 1)/2 - CX)/FX*Axis_Right + ((Photo_H - 1)/2 - CY)/FY*Axis_Down;
-  #local P_ = Eye + S*(D_ - R_/2 - U_/2);
-  polygon {{ 5, <0, 0>, <1, 0>, <1, 1>, <0, 1>, <0, 0>
-    pigment {{ image_map {{ png "{name}" map_type 0 once }} }}
-    finish {{ ambient 0 diffuse 0 emission 1 }}
-    no_shadow no_reflection
-    matrix <S*R_.x, S*R_.y, S*R_.z, S*U_.x, S*U_.y, S*U_.z, S*D_.x, S*D_.y, S*D_.z, P_.x, P_.y, P_.z>
-  }}
-#end
-// As far as the shadows of the objects below reach; make it larger for larger ones of your own.
-#macro Ground_Disc() disc {{ {vector(centre)}, z, {number(radius)} #end
-// The photo thrown from the camera onto the ground: where all the light arrives it shows as it is.
-#macro Photo_Ground()
-  #local E1 = Eye.x; #local E2 = Eye.y; #local E3 = Eye.z;
-  #local R1 = Axis_Right.x; #local R2 = Axis_Right.y; #local R3 = Axis_Right.z;
-  #local D1 = Axis_Down.x; #local D2 = Axis_Down.y; #local D3 = Axis_Down.z;
-  #local F1 = Axis_Forward.x; #local F2 = Axis_Forward.y; #local F3 = Axis_Forward.z;
-  #local Photo_ = function {{ pigment {{ image_map {{ png "{name}" map_type 0 }} }} }}
-  #local Depth_ = function(x, y, z) {{ max(1e-6, (x - E1)*F1 + (y - E2)*F2 + (z - E3)*F3) }}
-  #local U_ = function(x, y, z) {{
-    (FX*((x - E1)*R1 + (y - E2)*R2 + (z - E3)*R3)/Depth_(x, y, z) + CX + 0.5)/Photo_W }}
-  #local V_ = function(x, y, z) {{
-    1 - (FY*((x - E1)*D1 + (y - E2)*D2 + (z - E3)*D3)/Depth_(x, y, z) + CY + 0.5)/Photo_H }}
-  // Out of the picture its border goes on.
-  #local At_ = function(x, y, z) {{ min(1 - 1e-6, max(1e-6, x)) }}
-  Ground_Disc()
-    pigment {{ average pigment_map {{
-      [1 function {{ Photo_(At_(U_(x,y,z),0,0), At_(V_(x,y,z),0,0), 0).red }}
-         color_map {{ [0 rgb 0] [1 rgb <3, 0, 0>/Exposure] }}]
-      [1 function {{ Photo_(At_(U_(x,y,z),0,0), At_(V_(x,y,z),0,0), 0).green }}
-         color_map {{ [0 rgb 0] [1 rgb <0, 3, 0>/Exposure] }}]
-      [1 function {{ Photo_(At_(U_(x,y,z),0,0), At_(V_(x,y,z),0,0), 0).blue }}
-         color_map {{ [0 rgb 0] [1 rgb <0, 0, 3>/Exposure] }}] }} }}
-    finish {{ ambient 0 diffuse 1 }}
-  }}
-#end
-#declare Sky_Dome = sphere {{ Eye, 1e5 hollow
-  pigment {{ gradient z
-    color_map {{ [0.5 rgb <0.40, 0.38, 0.36>*Exposure] [0.5 rgb <0.80, 0.85, 0.90>*Exposure]
-      [1.0 rgb <0.30, 0.45, 0.75>*Exposure] }}
-    scale 2e5 translate Eye - 1e5*z }}
-  finish {{ ambient 0 diffuse 0 emission 1 }}
-  no_shadow no_image
-}}
-"""
-
-
-def shadow_disc(staging: Staging) -> tuple[Float[np.ndarray, "3"], float]:
-    """Centre and radius of a piece of ground that holds all shadows."""
-    corners = np.concatenate([np.zeros((1, 3)), *(s.corners for s in staging.solids)])
-    if staging.solids:
-        corners = corners[1:]
-    centre = 0.5 * (corners.min(0) + corners.max(0)) * [1.0, 1.0, 0.0]
-    lamps = staging.lamps
-    lowest = min(float(lamps.to_sun[2]), float(lamps.to_sky[:, 2].min()))
-    reach = np.linalg.norm(corners[:, :2] - centre[:2], axis=1) + np.maximum(corners[:, 2], 0.0) / np.tan(
-        np.arcsin(lowest)
-    )
-    return centre, max(1.05 * float(reach.max()), 1e-3)
 
 
 _PASSES = f"""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from autoreg.rendering.objects import (
     FINISHES,
@@ -20,6 +19,7 @@ from autoreg.rendering.objects import (
     Torus,
     UnderPixel,
 )
+from autoreg.rendering.scene_words import number, vector
 from autoreg.rendering.staging import Solid, Staging
 from autoreg.rendering.surface import Surface
 
@@ -37,16 +37,6 @@ class ObjectsText:
     text: str
     includes: tuple[tuple[str, str], ...]
     images: tuple[tuple[str, Path], ...]
-
-
-def number(value: float) -> str:
-    """A number for people to read: ten digits, which are a nanometre and a millionth of a pixel."""
-    return f"{value:.10g}"
-
-
-def vector(values: Float[np.ndarray, " n"] | list[float] | tuple[float, ...]) -> str:
-    """A vector, or a colour."""
-    return "<" + ", ".join(number(v) for v in values) + ">"
 
 
 def objects_text(staging: Staging) -> ObjectsText:

@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 from autoreg.errors import InputError
 from autoreg.lattice import Lattice
 from autoreg.layout import slab_at, slab_centre
+from autoreg.rendering.depth_of_field import Focus
 from autoreg.rendering.layer import linear_from_srgb
 from autoreg.rendering.letters import text_surface
 from autoreg.rendering.objects import (
@@ -29,6 +30,7 @@ from autoreg.rendering.objects import (
     Text,
     Torus,
 )
+from autoreg.rendering.sun import Sun, sun_for
 from autoreg.rendering.surface import (
     Surface,
     box_surface,
@@ -42,8 +44,9 @@ from autoreg.view import View
 _SKY_LIGHTS, _LOWEST_SINE = 24, 0.35
 # No real surface throws back all light: a colour of 1 is that of white paint.
 _WHITEST = 0.85
-# Light that the ground throws back onto every surface, as a part of what falls on it.
-_BOUNCE = 0.12
+# Part of the light on the ground that it throws back up: that of usual paving, less a fifth for the shade in
+# which objects stand themselves.
+_BOUNCE = 0.4
 # Part of the light that usual paving throws back: by it the photo's exposure is judged.
 _PAVING_ALBEDO = 0.5
 
@@ -84,7 +87,8 @@ class Lamps:
     """The light on the scene, as far lamps: the sun, and the sky in pieces.
 
     A surface with normal n shows colour * whitest * exposure * (sun max(0, n.to_sun)
-    + sum of sky max(0, n.to_sky) + bounce); sun and sky together give 1 on level open ground.
+    + sum of sky max(0, n.to_sky) + bounce (1 - n_z) / 2); sun and sky together give 1 on level open ground,
+    which throws `bounce` of that back up evenly.
     """
 
     to_sun: Float[np.ndarray, "3"]
@@ -102,18 +106,11 @@ class Lamps:
 
 
 @dataclass(frozen=True)
-class Focus:
-    """A real lens: the diameter of its opening, and the ground point that it is focused on."""
-
-    aperture_m: float
-    point: Float[np.ndarray, "3"]
-
-
-@dataclass(frozen=True)
 class Staging:
     """What is drawn."""
 
     solids: tuple[Solid, ...]
+    sun: Sun
     lamps: Lamps
     joints: bool = False
     joint_colour: RGB = (1.0, 0.7, 0.0)
@@ -151,7 +148,8 @@ def stage(
         photo: the photo (BGR), by which the exposure is judged if the scene does not give it.
 
     Raises:
-        InputError: an object would stand behind the camera, out of the picture, or nowhere.
+        InputError: an object would stand behind the camera, out of the picture, or nowhere; or a shadow
+            that is to show the sun does not.
     """
     solids = tuple(Solid(thing, _foot(thing, view, lattice)) for thing in scene.objects)
     for solid in solids:
@@ -159,8 +157,9 @@ def stage(
     exposure = scene.light.exposure
     if exposure is None:
         exposure = 1.0 if photo is None else judged_exposure(photo, view, lattice)
-    lamps = lamps_for(scene.light, view, exposure)
-    return Staging(solids, lamps, scene.joints, scene.joint_colour)
+    sun = sun_for(scene.light, view)
+    lamps = lamps_for(scene.light, sun, exposure)
+    return Staging(solids, sun, lamps, scene.joints, scene.joint_colour)
 
 
 def focused(staging: Staging, focus: Focus | None) -> Staging:
@@ -168,18 +167,9 @@ def focused(staging: Staging, focus: Focus | None) -> Staging:
     return replace(staging, focus=focus)
 
 
-def lamps_for(light: Light, view: View, exposure: float) -> Lamps:
+def lamps_for(light: Light, sun: Sun, exposure: float) -> Lamps:
     """The lamps of a light."""
-    if light.sun_deg is None:
-        # The camera looks along its z axis; the sun stands 125 degrees to the left of that, 42 degrees high.
-        # A camera that looks straight down has the top of its picture ahead.
-        ahead = view.cam_from_ground.R[2] - view.cam_from_ground.R[1]
-        azimuth, elevation = np.arctan2(ahead[1], ahead[0]) + np.deg2rad(125), np.deg2rad(42)
-    else:
-        azimuth, elevation = np.deg2rad(light.sun_deg)
-    to_sun = np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    to_sun = sun.direction
     # Even heights on a golden-angle spiral: every lamp stands for the same piece of sky.
     n = np.arange(_SKY_LIGHTS)
     sine = _LOWEST_SINE + (1 - _LOWEST_SINE) * (n + 0.5) / _SKY_LIGHTS
