@@ -18,12 +18,13 @@ from autoreg.conclude import (
     slab_mismatch,
     with_slab_ratio,
 )
-from autoreg.corrections import recentred, with_measured_shift
+from autoreg.corrections import with_measured_shift
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.image import as_gray, pyramid
+from autoreg.last_step import rested
 from autoreg.lattice_choice import Paving, presented, rival, suited
 from autoreg.paving import (
     CERTAIN_NATS,
@@ -43,7 +44,7 @@ from autoreg.rows import STEP_SIGMA, Rows, lay_rows
 from autoreg.segments import Segments, detect_segments
 from autoreg.solver import warm_up
 from autoreg.stations import Grid
-from autoreg.uncertainty import check_camera, settle
+from autoreg.uncertainty import check_camera
 
 __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align", "warm_up"]
 
@@ -231,17 +232,16 @@ def _concluded(
     camera_height: float | None,
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
-    rested = settle(fit)
-    check = check_camera(fit, picture, field_polygon(settled.presence), rested.scatter)
-    # The model of irregular slabs knows the turn better, the plain joints the place: the relief of sunk
-    # joints that it allows for is hard to tell from a shift of them all.
-    fit = rested.fit if fit.grid.spacing_x is None else recentred(rested.fit)
+    field = field_polygon(settled.presence)
+    last = rested(picture, fit, REACH, field)
+    check = check_camera(fit, picture, field, last.scatter)
+    fit = last.fit
     scale, scale_source = metric_scale(fit, slab, camera_height)
     frame = canonical_frame(fit, settled.presence, crossing)
     told = fit.grid.spacing_x is not None
     pose = frame.pose(fit.cam_from_ground)
     units = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
-    covariance = frame.covariance(rested.covariance, fit.cam_from_ground)
+    covariance = frame.covariance(last.covariance, fit.cam_from_ground)
     return Alignment(
         width=fit.camera.width,
         height=fit.camera.height,
