@@ -1,9 +1,10 @@
 """How a lattice's joints look in the pixels: the share of every slab in each, and how it changes.
 
-The lens's blur and the pixel's own square together are taken as a Gaussian of the picture. A slab then has in a
-pixel the share that a Gaussian has in a quadrant between two lines: the normal distribution of the pixel's
-distance from a joint's edge, and at crossings that of two variables whose correlation is the cosine between
-the edges' normals (Drezner and Wesolowsky 1990, On the computation of the bivariate normal integral).
+The lens's blur and the pixel's own square together are taken as a Gaussian of the picture. A slab then has
+in a pixel the share that a Gaussian has in a quadrant between two lines: the normal distribution of the
+pixel's distance from a joint's edge, and at crossings that of two variables whose correlation is the cosine
+between the edges' normals (Drezner and Wesolowsky 1990, On the computation of the bivariate normal
+integral).
 """
 
 from __future__ import annotations
@@ -15,13 +16,9 @@ from jaxtyping import Float, Int
 from scipy.special import ndtr
 
 from autoreg.geometry import Rigid
-from autoreg.joint_pixels import JointPixels, View
+from autoreg.joint_pixels import JOINT, TONES, JointPixels, View
 from autoreg.stations import Grid
 
-# Tones of a block: of the slabs beyond both joints, before the one along Y, before the one along X, before
-# both; and of the joint.
-TONES = 5
-JOINT = 4
 # Correlations nearer to one are edges that run along each other.
 MOST_CORRELATED = 0.999
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
@@ -29,7 +26,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 @dataclass(frozen=True)
 class Shape:
-    """All that decides the shares: pose, lattice, joint widths (along X, along Y) and blur with the pixel's."""
+    """What decides the shares: pose, lattice, width of joints along X and along Y, blur with the pixel's."""
 
     pose: Rigid
     grid: Grid
@@ -92,7 +89,7 @@ class JointImage:
         parts: list[tuple[np.ndarray, ...]] = []
         for sign in (1.0, -1.0):
             edge = at + sign * 0.5 * width
-            normal, size = view.normal(axis, edge, per_px)
+            normal, size = view.across(axis, edge, per_px)
             z = sign * (view.rows[rows, axis] - (view.offset[axis] + edge) * depth) / (size * blur)
             bell = np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
             by_place = sign * bell * depth / (size * blur)
@@ -105,7 +102,7 @@ class JointImage:
         """Share of one slab at the crossings, and its derivatives by the share of either half-plane."""
         across, line = self.at_before if r else self.at_column, self.at_line
         h, k = across.z[p], line.z[r]
-        cosine = (across.normal[p] * line.normal[r]).sum(1) * (1.0 if p == r else -1.0)
+        cosine = (across.normal[p] * line.normal[r]).sum(0) * (1.0 if p == r else -1.0)
         rho = np.clip(cosine, -MOST_CORRELATED, MOST_CORRELATED)
         share = across.share[p] * line.share[r] + _beyond_product(h, k, rho)
         root = np.sqrt(1.0 - rho * rho)
@@ -146,7 +143,8 @@ class JointImage:
             looks[at, 0] += py * self.at_line.by_width[r]
             looks[at, 1] += px * across.by_width[p]
             looks[at, 2] += px * across.by_blur[p] + py * self.at_line.by_blur[r]
-        for axis, rows, edges, own in ((1, x, self.lines, self._tones_x()), (0, y, self.columns, self._tones_y())):
+        sides = (1, x, self.lines, self._tones_x()), (0, y, self.columns, self._tones_y())
+        for axis, rows, edges, own in sides:
             for side in (0, 1):
                 step = against[rows, own[side]]
                 ground[rows, axis] += step * edges.by_place[side]
@@ -185,7 +183,5 @@ def _beyond_product(
 
 def with_looks(shape: Shape, log_change: Float[np.ndarray, "3"]) -> Shape:
     """The shape after a change of the logarithms of the widths and the blur."""
-    x, y, blur = np.exp(log_change)
-    return replace(
-        shape, width=(shape.width[0] * float(x), shape.width[1] * float(y)), blur_px=shape.blur_px * float(blur)
-    )
+    x, y, blur = (float(factor) for factor in np.exp(log_change))
+    return replace(shape, width=(shape.width[0] * x, shape.width[1] * y), blur_px=shape.blur_px * blur)

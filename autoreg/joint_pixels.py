@@ -18,8 +18,10 @@ from autoreg.stations import ALONG_X, Grid, Sides, project_ground
 SHOULDER_BLURS = 3.0
 # ... where a slab's side measures so many blurs clear of its joint: below, neighbouring joints run together.
 CLEAR_BLURS = 4.5
-# Tones are local to pieces of joint of this length.
+# Tones are local to blocks, pieces of joint of this length: those of the slabs beyond both joints, before the
+# one along Y, before the one along X, and before both; and that of the joint.
 PIECE_PX = 24.0
+TONES, JOINT = 5, 4
 # Joints are straight over this length, whatever the lens.
 STRAIGHT_PX = 32.0
 # The picture's outermost pixels know nothing of what is blurred into them from outside.
@@ -53,18 +55,19 @@ class View:
         """Ground points under the pixels."""
         return self.rows[:, :2] / self.depth[:, None] - self.offset[:2]
 
-    def normal(
+    def across(
         self, axis: int, at: Float[np.ndarray, " n"], per_px: Float[np.ndarray, "m 2 2"]
-    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-        """Unit normal in the picture of the ground line x_axis = at, and the linear function's slope by a pixel."""
+    ) -> tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, " n"]]:
+        """Unit normals in the picture of ground lines x_axis = at, and the function's slope along them.
+
+        `per_px` is the derivative of ideal normalised coordinates by the pixel's.
+        """
         R, foot = self.pose.R, float(self.pose.R[:, 2] @ self.pose.t)
         lean = (self.offset[axis] + at) / foot
-        slope = (
-            (R[0, axis] - lean * R[0, 2])[..., None] * per_px[..., 0, :]
-            + (R[1, axis] - lean * R[1, 2])[..., None] * per_px[..., 1, :]
-        )
-        size = np.hypot(slope[:, 0], slope[:, 1])
-        return slope / size[:, None], size
+        x, y = (R[k, axis] - lean * R[k, 2] for k in (0, 1))
+        slope = np.stack([x * per_px[:, 0, k] + y * per_px[:, 1, k] for k in (0, 1)])
+        size = np.sqrt(slope[0] ** 2 + slope[1] ** 2)
+        return slope / size, size
 
 
 @dataclass(frozen=True)
@@ -150,7 +153,7 @@ def _near_joints(
     width: tuple[float, float],
     blur_px: float,
 ) -> Int[np.ndarray, "n 2"]:
-    """Pixels (u, v) in reach of the sides, which are drawn as bands: piece by piece, since a lens bends them."""
+    """Pixels (u, v) in reach of the sides: bands, drawn piece by piece since a lens bends them."""
     ends_px = project_ground(camera, pose, sides.ends)
     count = np.ceil(np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1) / STRAIGHT_PX).astype(int)
     side = np.repeat(np.arange(len(sides)), count)
@@ -200,7 +203,7 @@ def _placed(
     column, before, own = (np.rint(x / a - r * shift).astype(int) for r in (line, line - 1, row))
     off = [x - (i + r * shift) * a for i, r in ((column, line), (before, line - 1), (own, row))]
     off_y = y - line * b
-    q_x, q_y = (view.depth / view.normal(k, 1.0 * c, per_px)[1] for k, c in ((0, x), (1, y)))
+    q_x, q_y = (view.depth / view.across(k, c, per_px)[1] for k, c in ((0, x), (1, y)))
     reach_x, reach_y = (SHOULDER_BLURS * blur_px + 0.5 * w * q for w, q in ((width[1], q_x), (width[0], q_y)))
     near_x = [np.abs(o) * q_x < reach_x for o in off]
     near_y = np.abs(off_y) * q_y < reach_y

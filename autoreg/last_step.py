@@ -1,4 +1,4 @@
-"""The last step of a fit: the likeliest pose where slabs may lie unevenly, or the exact one where they do not."""
+"""The last step of a fit: the likeliest pose over uneven slabs, or that of the grey levels of even ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from autoreg.refine import Fit
 from autoreg.uncertainty import Settled, settle
 
 # Slabs whose places scatter by more than this, as seen across a joint of median size, need not be tried.
-UNEVEN_PX = 0.15
+UNEVEN_PX = 0.04
 
 
 def rested(

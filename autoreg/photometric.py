@@ -1,4 +1,4 @@
-"""The last step where slabs lie evenly: the pose at which the drawn joints have the picture's own grey levels.
+"""The last step where slabs lie evenly: the pose at which drawn joints have the picture's grey levels.
 
 Every pixel near a joint is y = sum of share_k(pose, joint widths, blur) tone_k + noise. The tones are those
 of the slabs' corners and of the joint at each crossing, or at each piece of a long joint: random effects
@@ -25,33 +25,34 @@ from scipy.stats import chi2
 from autoreg import residuals as terms
 from autoreg.freedom import stretched
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
-from autoreg.joint_image import JOINT, TONES, JointImage, Shape, with_looks
-from autoreg.joint_pixels import CLEAR_BLURS, JointPixels, joint_pixels
+from autoreg.joint_image import JointImage, Shape, with_looks
+from autoreg.joint_pixels import CLEAR_BLURS, JOINT, JointPixels, joint_pixels
 from autoreg.refine import Fit
 from autoreg.residuals import PARAMETERS
 from autoreg.stations import Sides, visible_sides
+from autoreg.tones import Blocks, tone_variances
 
 # Pixels that are looked at: more tell little more, and cost time.
-MOST_PIXELS = 90_000
-# Fewer cells do not tell whether they agree.
-LEAST_CELLS = 8
+MOST_PIXELS = 75_000
 MOST_STEPS = 5
 # The first steps look at one pixel of so many.
 ROUGHLY = 5
 # A step this small, in standard deviations of the pose, is the last: each is some thirty times smaller than
 # the one before. The first steps look at few pixels, and need not end as exactly.
-STILL_SIGMAS, ROUGHLY_STILL_SIGMAS = 0.2, 25.0
+STILL_SIGMAS, ROUGHLY_STILL_SIGMAS = 0.3, 25.0
 # Looks change by at most this much at a time, in their logarithms.
 MOST_LOOKS_STEP = 0.3
 # Residuals beyond this many standard deviations count less, by the square.
 ROBUST_SIGMAS = 3.0
 # A cell whose mean square residual is so many times the rest's shows something else.
 FOREIGN = 4.0
-# Rounding to eight bits leaves this standard deviation.
-ROUNDING = 0.29
+# Grey levels that even a drawn picture is off by.
+LEAST_NOISE = 0.05
 # The design effect of even slabs: one for white noise, up to five as measured on textured stone. Places that
 # are off by as much as the pixels' noise hides in a cell double it; those of real slabs raise it to hundreds.
 MOST_DESIGN_EFFECT = 8.0
+# ... judged by no fewer cells than this beyond the number of unknowns.
+SPARE_CELLS = 8
 # A pose that the joints' measured places contradict at this level is none.
 CONTRADICTION = 0.9999
 # A side takes part if this share of its stations does.
@@ -118,7 +119,7 @@ def on_grey_levels(
     pixels = joint_pixels(
         picture, fit.camera, shape.pose, shape.grid, sides, shape.width, shape.blur_px, MOST_PIXELS
     )
-    if not len(pixels) or pixels.cells < LEAST_CELLS:
+    if pixels.cells < SPARE_CELLS + UNKNOWNS:
         return None
     state, last = _first(pixels.thinned(ROUGHLY), shape, fit), None
     for every in (ROUGHLY, 1):
@@ -137,9 +138,7 @@ def on_grey_levels(
 def _sides(fit: Fit, reach: float, field: Float[np.ndarray, "k 2"] | None) -> Sides:
     """The sides that can be told apart, without those whose stations were refused."""
     least = CLEAR_BLURS * fit.strip.blur_px
-    sides = visible_sides(
-        fit.camera, fit.cam_from_ground, fit.grid, reach=reach, field=field, min_px=least
-    )
+    sides = visible_sides(fit.camera, fit.cam_from_ground, fit.grid, reach=reach, field=field, min_px=least)
     stations = fit.stations
     good = fit.usable & (fit.weight > 0.1)
     keys = np.stack([stations.family, stations.line, stations.cell], 1)
@@ -156,52 +155,11 @@ def _first(pixels: JointPixels, shape: Shape, fit: Fit) -> _State:
     common = np.stack([1.0 - share[:, JOINT], share[:, JOINT]], 1)
     means = np.linalg.lstsq(common.T @ common + 1e-6 * np.eye(2), common.T @ pixels.grey, rcond=None)[0]
     weight = np.ones(len(pixels))
-    blocks = _Blocks(pixels, share, weight)
+    blocks = Blocks(pixels, share, weight)
     middle = np.r_[[means[0]] * JOINT, means[1]]
     tones = middle + blocks.solve(blocks.sums((pixels.grey - share @ middle)[:, None]), 0.02)[..., 0]
     noise = _scatter(pixels.grey - (share * tones[pixels.block]).sum(1), weight)
     return _State(shape, fit, tones, noise, weight)
-
-
-class _Blocks:
-    """The tones' normal equations, block by block."""
-
-    def __init__(self, pixels: JointPixels, share: np.ndarray, weight: np.ndarray) -> None:
-        n, m = share.shape
-        self.count = pixels.blocks
-        pixel, tone = np.nonzero(share > 1e-6)
-        value = share[pixel, tone] * weight[pixel]
-        column = pixels.block[pixel] * m + tone
-        self.gather = csr_matrix((value, (column, pixel)), shape=(self.count * m, n))
-        self.normal = self.sums(share)
-
-    def sums(self, columns: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m t c"]:
-        """Weighted products of every block's shares with some columns."""
-        return (self.gather @ columns).reshape(self.count, TONES, -1)
-
-    def solve(self, sums: Float[np.ndarray, "m t c"], ridge: float | np.ndarray) -> Float[np.ndarray, "m t c"]:
-        """Tones by least squares, with what is known of them beforehand as a ridge."""
-        return np.linalg.solve(self.normal + np.diag(np.broadcast_to(ridge, TONES) + 1e-6), sums)
-
-
-def _variances(blocks: _Blocks, tones: np.ndarray, noise: float) -> Float[np.ndarray, "2"]:
-    """Variance of the slabs' and of the joints' tones about their means, by moments.
-
-    `tones` are least squares' own; those that are hardly told do not count.
-    """
-    doubt = np.diagonal(np.linalg.inv(blocks.normal + 1e-3 * np.eye(TONES)), axis1=1, axis2=2)
-    told: list[float] = []
-    for kind in (slice(0, JOINT), slice(JOINT, TONES)):
-        v, t = doubt[:, kind], tones[:, kind]
-        good = v < 2.0
-        v, t = v[good], t[good]
-        if len(t) < 3:
-            told.append(noise**2)
-            continue
-        mean = (t / v).sum() / (1.0 / v).sum()
-        excess = ((t - mean) ** 2 / v).sum() - noise**2 * len(t)
-        told.append(max(float(excess / (1.0 / v).sum()), 1e-6))
-    return np.array(told)
 
 
 def _stepped(pixels: JointPixels, state: _State) -> _Step | None:
@@ -213,9 +171,9 @@ def _stepped(pixels: JointPixels, state: _State) -> _Step | None:
         [image.by_pose(slopes), slopes.by_looks, 1.0 - share[:, JOINT], share[:, JOINT], pixels.grey]
     )
     free = _free(state.fit)
-    blocks = _Blocks(pixels, share, weight)
+    blocks = Blocks(pixels, share, weight)
     sums = blocks.sums(columns)
-    variances = _variances(blocks, blocks.solve(sums[..., -1:], 1e-3)[..., 0], state.noise)
+    variances = tone_variances(blocks, blocks.solve(sums[..., -1:], 1e-3)[..., 0], state.noise)
     ridge = state.noise**2 / np.r_[[variances[0]] * JOINT, variances[1]]
     solved = blocks.solve(sums, ridge)
     H = (columns * weight[:, None]).T @ columns - np.einsum("mtp,mtq->pq", sums, solved)
@@ -230,7 +188,7 @@ def _stepped(pixels: JointPixels, state: _State) -> _Step | None:
     means = np.r_[[step[10]] * JOINT, step[11]]
     off = solved[..., -1] - solved[..., :-1] @ step
     tones = off + means
-    left = pixels.grey - (share * tones[pixels.block]).sum(1) - columns[:, : MEANS.start] @ step[: MEANS.start]
+    left = pixels.grey - (share * tones[pixels.block]).sum(1) - columns[:, :-3] @ step[: MEANS.start]
     noise = _scatter(left, weight)
     moved = replace(state, shape=_moved(state.shape, step), tones=tones, noise=noise)
     # Of the means, a step has no size: they are found anew each time.
@@ -243,7 +201,7 @@ def _stepped(pixels: JointPixels, state: _State) -> _Step | None:
 
 def _cell_scores(
     pixels: JointPixels,
-    blocks: _Blocks,
+    blocks: Blocks,
     columns: Float[np.ndarray, "n k"],
     pull: Float[np.ndarray, " n"],
     left: Float[np.ndarray, " n"],
@@ -283,7 +241,7 @@ def _moved(shape: Shape, step: Float[np.ndarray, " p"]) -> Shape:
 def _scatter(left: np.ndarray, weight: np.ndarray) -> float:
     """Standard deviation of the residuals that count, by their median."""
     counted = np.abs(left[weight > 0])
-    return float(np.hypot(1.4826 * np.median(counted), 1e-3 * ROUNDING)) if len(counted) else ROUNDING
+    return max(1.4826 * float(np.median(counted)), LEAST_NOISE) if len(counted) else LEAST_NOISE
 
 
 def _robust(left: np.ndarray, noise: float, cell: np.ndarray) -> Float[np.ndarray, " n"]:
@@ -308,7 +266,7 @@ def _judged(
     state = last.state
     inverse = np.linalg.inv(last.information)
     counted = int((np.bincount(pixels.cell, state.weight) > 0).sum())
-    if counted < LEAST_CELLS + len(last.free):
+    if counted < SPARE_CELLS + len(last.free):
         return None
     # Of the pose alone: what the looks and the mean tones would explain is taken out first.
     C = inverse[:6, :6]
