@@ -15,7 +15,7 @@ from autoreg.geometry import Rigid
 from autoreg.stations import ALONG_X, Grid, Sides, project_ground
 
 # Pixels are taken from this many blurs on either side of a joint, ...
-SHOULDER_BLURS = 3.0
+SHOULDER_BLURS = 2.5
 # ... where a slab's side measures so many blurs clear of its joint: below, neighbouring joints run together.
 CLEAR_BLURS = 4.5
 # Tones are local to blocks, pieces of joint of this length: those of the slabs beyond both joints, before the
@@ -142,7 +142,7 @@ def joint_pixels(
     at, rays = at[seen], rays[seen]
     seen = View.of(rays, pose).depth > 0
     at, rays = at[seen], rays[seen]
-    return _placed(picture, at, rays, _ideal_per_px(camera, at), pose, grid, width, blur_px)
+    return _placed(picture, at, rays, _ideal_per_px(camera, rays), pose, grid, width, blur_px)
 
 
 def _near_joints(
@@ -175,13 +175,14 @@ def _near_joints(
     return np.stack([u, v], 1) + BORDER_PX
 
 
-def _ideal_per_px(camera: Camera, at: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "m 2 2"]:
+def _ideal_per_px(camera: Camera, rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 2 2"]:
     """Derivative of ideal normalised coordinates by the pixel's: one for all where the lens does not bend."""
+    focal = np.array([camera.fx, camera.fy])
     if not camera.has_distortion:
-        return np.diag([1.0 / camera.fx, 1.0 / camera.fy])[None]
-    step = np.array([0.5, 0.0])
-    columns = [camera.normalise(at + s) - camera.normalise(at - s) for s in (step, step[::-1])]
-    return np.nan_to_num(np.stack(columns, -1))
+        return np.diag(1.0 / focal)[None]
+    xy, step = rays[:, :2], np.array([1e-4, 0.0])
+    columns = [(camera.distort(xy + s) - camera.distort(xy - s)) * focal / 2e-4 for s in (step, step[::-1])]
+    return np.linalg.inv(np.stack(columns, -1))
 
 
 def _placed(

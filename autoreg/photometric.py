@@ -33,13 +33,13 @@ from autoreg.stations import Sides, visible_sides
 from autoreg.tones import Blocks, tone_variances
 
 # Pixels that are looked at: more tell little more, and cost time.
-MOST_PIXELS = 75_000
+MOST_PIXELS = 80_000
 MOST_STEPS = 5
 # The first steps look at one pixel of so many.
 ROUGHLY = 5
-# A step this small, in standard deviations of the pose, is the last: each is some thirty times smaller than
-# the one before. The first steps look at few pixels, and need not end as exactly.
-STILL_SIGMAS, ROUGHLY_STILL_SIGMAS = 0.3, 25.0
+# Steps this small, in standard deviations of all that is solved for, are the last of the rough pass and of
+# the whole one: the next would be some thirty times smaller.
+ROUGHLY_STILL_SIGMAS, STILL_SIGMAS = 3.0, 8.0
 # Looks change by at most this much at a time, in their logarithms.
 MOST_LOOKS_STEP = 0.3
 # Residuals beyond this many standard deviations count less, by the square.
