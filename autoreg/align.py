@@ -18,11 +18,12 @@ from autoreg.conclude import (
     slab_mismatch,
     with_slab_ratio,
 )
-from autoreg.corrections import recentred, with_measured_shift
+from autoreg.corrections import with_measured_shift
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.image import as_gray
+from autoreg.last_step import rested
 from autoreg.lattice_choice import Paving, presented
 from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit, refine_until_still
@@ -32,7 +33,7 @@ from autoreg.search import RADIAL_SIGMA, find_paving, other_camera
 from autoreg.sight import Sight, see
 from autoreg.solver import warm_up
 from autoreg.stations import Grid
-from autoreg.uncertainty import check_camera, settle
+from autoreg.uncertainty import check_camera
 
 __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align", "warm_up"]
 
@@ -162,19 +163,18 @@ def _concluded(
     camera_height: float | None,
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
-    rested = settle(fit)
+    field = field_polygon(settled.presence)
+    last = rested(picture, fit, REACH, field)
     # A camera that comes from the joints themselves is nothing that they could contradict.
     asked = None if source == "photo" else picture
-    check = check_camera(fit, asked, field_polygon(settled.presence), rested.scatter)
-    # The model of irregular slabs knows the turn better, the plain joints the place: the relief of sunk
-    # joints that it allows for is hard to tell from a shift of them all.
-    fit = rested.fit if fit.grid.spacing_x is None else recentred(rested.fit)
+    check = check_camera(fit, asked, field, last.scatter)
+    fit = last.fit
     scale, scale_source = metric_scale(fit, slab, camera_height)
     frame = canonical_frame(fit, settled.presence, crossing)
     told = fit.grid.spacing_x is not None
     pose = frame.pose(fit.cam_from_ground)
     units = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
-    covariance = frame.covariance(rested.covariance, fit.cam_from_ground)
+    covariance = frame.covariance(last.covariance, fit.cam_from_ground)
     return Alignment(
         width=fit.camera.width,
         height=fit.camera.height,

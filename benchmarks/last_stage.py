@@ -9,13 +9,12 @@ from jaxtyping import Float
 
 from autoreg.align import FIRST_SEARCH, REACH
 from autoreg.camera import Camera
-from autoreg.corrections import recentred
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
+from autoreg.last_step import rested
 from autoreg.refine import Fit, refine_until_still
 from autoreg.stations import Grid, project_ground
 from autoreg.synthetic import SyntheticScene
-from autoreg.uncertainty import settle
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,8 @@ def finish(
     fit = refine_until_still(picture, camera, start, grid, free=Free(), search=search, reach=REACH)
     if fit is None:
         return None
-    rested = settle(fit)
-    return Finish(recentred(rested.fit).cam_from_ground, rested.covariance, fit)
+    last = rested(picture, fit, REACH)
+    return Finish(last.fit.cam_from_ground, last.covariance, fit)
 
 
 def pose_error(found: Rigid, true: Rigid) -> Float[np.ndarray, "6"]:

@@ -41,13 +41,16 @@ def _grey(scene: SyntheticScene, rng: np.random.Generator) -> Grid:
     x_centre, y_centre = _ground_grid(scene, 0.0, 0.0)
     things = _Things(scene, x_centre, y_centre, rng)
     width_x, width_y = _footprint(x_centre), _footprint(y_centre)
-    total = np.zeros_like(x_centre)
-    offsets = (np.arange(scene.samples) + 0.5) / scene.samples - 0.5
-    for du in offsets:
-        for dv in offsets:
-            x, y = (x_centre, y_centre) if scene.samples == 1 else _ground_grid(scene, float(du), float(dv))
-            total += _sample(scene, ground, things, x, y, width_x, width_y)
-    return _blurred(total / scene.samples**2, scene.blur_px)
+    # The lens blurs before the pixels add up: a blur of whole pixels would let thin joints alias.
+    n = scene.samples
+    fine = np.empty((n * x_centre.shape[0], n * x_centre.shape[1]))
+    offsets = (np.arange(n) + 0.5) / n - 0.5
+    for column, du in enumerate(offsets):
+        for row, dv in enumerate(offsets):
+            x, y = (x_centre, y_centre) if n == 1 else _ground_grid(scene, float(du), float(dv))
+            fine[row::n, column::n] = _sample(scene, ground, things, x, y, width_x, width_y)
+    fine = _blurred(fine, n * scene.blur_px)
+    return fine.reshape(x_centre.shape[0], n, x_centre.shape[1], n).mean((1, 3))
 
 
 def _ideal_pixels(camera: Camera, pixels: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:

@@ -1,0 +1,285 @@
+"""The drawn joints are what a lens shows, and where slabs lie evenly their grey levels tell the pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, multivariate_normal
+
+from autoreg.camera import Camera
+from autoreg.freedom import Free
+from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
+from autoreg.joint_image import JointImage, Shape, with_looks
+from autoreg.joint_pixels import JOINT, SHOULDER_BLURS, TONES, JointPixels, joint_pixels
+from autoreg.last_step import rested
+from autoreg.photometric import on_grey_levels
+from autoreg.refine import Fit, refine_until_still
+from autoreg.stations import Grid, project_ground, visible_sides
+from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground
+from autoreg.uncertainty import Settled, settle
+
+REACH = 12.0
+PLAIN = SyntheticScene(
+    camera=Camera(480, 360, 420.0, 421.0, 236.0, 182.0),
+    cam_from_ground=look_at_ground(pitch_deg=38.0, height_m=1.6, heading_deg=23.0, foot_m=(0.13, 0.21)),
+    spacing_m=(0.4, 0.3),
+    joint_width_m=0.012,
+    tone_spread=0.0,
+    texture=0.0,
+    blur_px=0.7,
+    noise_grey=3.0,
+    colour=False,
+)
+LENS = replace(PLAIN, camera=replace(PLAIN.camera, dist=(-0.12, 0.03, 5e-4, -4e-4)))
+BOND = replace(PLAIN, shift=0.4)
+STONE = replace(PLAIN, tone_spread=0.04, texture=0.03, seed=5)
+# Blur and the pixel's square together.
+TOTAL_BLUR = float(np.hypot(0.7, np.sqrt(1 / 12)))
+
+
+P, T = ParamSpec("P"), TypeVar("T")
+
+
+def remembered(function: Callable[P, T]) -> Callable[P, T]:
+    """The function, asked once for the same arguments: scenes hold arrays, which have no hash."""
+    known: dict[str, T] = {}
+
+    @wraps(function)
+    def asked(*args: P.args, **options: P.kwargs) -> T:
+        key = repr((args, options))
+        if key not in known:
+            known[key] = function(*args, **options)
+        return known[key]
+
+    return asked
+
+
+def grid_of(scene: SyntheticScene) -> Grid:
+    return Grid(*scene.spacing_m, scene.shift)
+
+
+def shape_of(scene: SyntheticScene) -> Shape:
+    width = scene.joint_width_m
+    return Shape(scene.cam_from_ground, grid_of(scene), (width, width), TOTAL_BLUR)
+
+
+def pixels_of(scene: SyntheticScene, picture: np.ndarray, most: int = 10**6) -> JointPixels:
+    shape = shape_of(scene)
+    sides = visible_sides(scene.camera, shape.pose, shape.grid, min_px=4.0)
+    return joint_pixels(
+        picture, scene.camera, shape.pose, shape.grid, sides, shape.width, shape.blur_px, most
+    )
+
+
+def photo_of(scene: SyntheticScene, seed: int) -> np.ndarray:
+    noise = scene.noise_grey * np.random.default_rng(seed).standard_normal((360, 480))
+    return np.clip(np.rint(clean(scene) + noise), 0, 255).astype(np.float32)
+
+
+@remembered
+def clean(scene: SyntheticScene) -> np.ndarray:
+    return clean_grey(scene)
+
+
+@remembered
+def fitted(scene: SyntheticScene, seed: int, free: Free = Free()) -> Fit:  # noqa: B008
+    fit = refine_until_still(
+        photo_of(scene, seed), scene.camera, scene.cam_from_ground, grid_of(scene),
+        free=free, search=0.04, reach=REACH,
+    )  # fmt: skip
+    assert fit is not None
+    return fit
+
+
+@remembered
+def answered(scene: SyntheticScene, seed: int) -> Settled:
+    return rested(photo_of(scene, seed), fitted(scene, seed), REACH)
+
+
+def error_of(scene: SyntheticScene, pose: Rigid) -> np.ndarray:
+    true = scene.cam_from_ground
+    return np.r_[vector_from_rotation(pose.R @ true.R.T), pose.t - true.t]
+
+
+def crossings_off_px(scene: SyntheticScene, pose: Rigid) -> float:
+    i, j = (v.ravel() for v in np.meshgrid(np.arange(-6, 7), np.arange(0, 14)))
+    ground = np.stack([(i + j * scene.shift) * scene.spacing_m[0], j * scene.spacing_m[1]], 1)
+    at, true = (project_ground(scene.camera, p, ground) for p in (pose, scene.cam_from_ground))
+    seen = ((true > 0) & (true < [479, 359])).all(1)
+    return float(np.sqrt(np.mean(((at - true)[seen] ** 2).sum(1))))
+
+
+@pytest.mark.parametrize("scene", [PLAIN, BOND, LENS])
+def test_drawn_pixels_are_those_of_the_renderer(scene: SyntheticScene) -> None:
+    pixels = pixels_of(scene, clean(scene))
+    share = JointImage(pixels, shape_of(scene)).shares()
+    drawn = share @ np.array([scene.slab_tone] * JOINT + [scene.joint_tone])
+    off = drawn - pixels.grey
+    # The renderer's four samples of a pixel are no perfect square.
+    assert np.sqrt(np.mean(off**2)) < 0.6
+    assert np.abs(off).max() < 4.0
+
+
+def test_shares_at_crossings_are_those_of_the_normal_distribution() -> None:
+    image = JointImage(pixels_of(PLAIN, clean(PLAIN)), shape_of(PLAIN))
+    some = np.arange(0, image.pixels.counts[0], 97)
+    edges_x, edges_y = image.at_column, image.at_line
+    for p, r in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        sign = 1.0 if p == r else -1.0
+        rho = sign * (edges_x.normal[p] * edges_y.normal[r]).sum(0)[some]
+        z = np.stack([edges_x.z[p][some], edges_y.z[r][some]], 1)
+        exact = [
+            multivariate_normal.cdf(at, cov=np.array([[1.0, c], [c, 1.0]]))
+            for at, c in zip(z, rho, strict=True)
+        ]
+        assert image.shares()[some, p + 2 * r] == pytest.approx(exact, abs=1e-5)
+
+
+def test_shares_are_parts_of_one() -> None:
+    share = JointImage(pixels_of(BOND, clean(BOND)), shape_of(BOND)).shares()
+    assert share.sum(1) == pytest.approx(1.0)
+    assert share.min() > -1e-6
+
+
+@pytest.mark.parametrize("scene", [PLAIN, BOND, LENS])
+def test_slopes_are_finite_differences(scene: SyntheticScene) -> None:
+    shape, pixels = shape_of(scene), pixels_of(scene, clean(scene))
+    tones = np.random.default_rng(0).uniform(60, 200, (len(pixels), TONES))
+
+    def drawn(shape: Shape) -> np.ndarray:
+        return (JointImage(pixels, shape).shares() * tones).sum(1)
+
+    image = JointImage(pixels, shape)
+    slopes = image.slopes(tones)
+    by_pose = image.by_pose(slopes)
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-5
+        ends = [
+            replace(
+                shape,
+                pose=Rigid(
+                    nearest_rotation(rotation_from_vector(s * step[:3]) @ shape.pose.R),
+                    shape.pose.t + s * step[3:],
+                ),
+            )
+            for s in (1.0, -1.0)
+        ]
+        numeric = (drawn(ends[0]) - drawn(ends[1])) / 2e-5
+        # How the blur's size on the ground changes with the pose is left out.
+        assert np.linalg.norm(by_pose[:, k] - numeric) < 0.04 * np.linalg.norm(numeric)
+    for k in range(3):
+        step = np.zeros(3)
+        step[k] = 1e-5
+        numeric = (drawn(with_looks(shape, step)) - drawn(with_looks(shape, -step))) / 2e-5
+        assert np.linalg.norm(slopes.by_looks[:, k] - numeric) < 0.02 * np.linalg.norm(numeric)
+
+
+def test_pixels_are_those_near_joints_and_thinned_evenly() -> None:
+    pixels, shape = pixels_of(PLAIN, clean(PLAIN)), shape_of(PLAIN)
+    image = JointImage(pixels, shape)
+    off = image.view.ground / np.array(PLAIN.spacing_m)
+    off = np.abs(off - np.rint(off)) * np.array(PLAIN.spacing_m)
+    size = [image.view.across(k, image.view.ground[:, k], pixels.per_px)[1] for k in (0, 1)]
+    off_px = [off[:, k] * image.view.depth / size[k] for k in (0, 1)]
+    half = [0.5 * PLAIN.joint_width_m * image.view.depth / size[k] for k in (0, 1)]
+    assert np.all(np.minimum(off_px[0] - half[0], off_px[1] - half[1]) < SHOULDER_BLURS * TOTAL_BLUR + 1e-6)
+    some = pixels_of(PLAIN, clean(PLAIN), most=len(pixels) // 4)
+    assert 0.6 * len(pixels) / 4 < len(some) < 1.02 * len(pixels) / 4
+    shares = np.array(pixels.counts) / len(pixels)
+    assert np.array(some.counts) / len(some) == pytest.approx(shares, abs=0.01)
+
+
+def test_the_pose_of_a_picture_without_noise_is_exact() -> None:
+    scene = replace(PLAIN, noise_grey=0.0)
+    picture = clean(scene).astype(np.float32)
+    fit = refine_until_still(
+        picture, scene.camera, scene.cam_from_ground, grid_of(scene), free=Free(), search=0.04, reach=REACH
+    )
+    assert fit is not None
+    found = on_grey_levels(picture, fit, 1e-4 * np.eye(6), REACH)
+    assert found is not None
+    assert crossings_off_px(scene, found.fit.cam_from_ground) < 0.001
+    assert np.array(found.fit.strip.width) == pytest.approx(scene.joint_width_m, rel=0.01)
+
+
+@pytest.mark.parametrize("scene", [PLAIN, BOND, LENS])
+def test_grey_levels_know_the_pose_better_than_measured_places(scene: SyntheticScene) -> None:
+    seeds = range(4)
+    off = [crossings_off_px(scene, answered(scene, s).fit.cam_from_ground) for s in seeds]
+    before = [crossings_off_px(scene, settle(fitted(scene, s)).fit.cam_from_ground) for s in seeds]
+    assert np.mean(np.square(off)) < 0.6 * np.mean(np.square(before))
+
+
+@pytest.mark.parametrize("scene", [PLAIN, STONE])
+def test_the_covariance_is_that_of_the_errors(scene: SyntheticScene) -> None:
+    normalised: list[float] = []
+    for seed in range(6):
+        # Another noise on the same stones tells nothing of what stones do.
+        drawn = replace(scene, seed=seed) if scene is STONE else scene
+        found = answered(drawn, seed)
+        error = error_of(drawn, found.fit.cam_from_ground)
+        normalised.append(error @ np.linalg.solve(found.covariance, error))
+    low, high = chi2.ppf([0.001, 0.999], 6 * len(normalised))
+    assert low < np.sum(normalised) < high
+
+
+def test_uneven_slabs_keep_the_answer_of_their_model() -> None:
+    for seed in range(2):
+        scene = replace(STONE, jitter_m=0.0015, seed=seed)
+        fit = fitted(scene, seed)
+        settled = settle(fit)
+        assert on_grey_levels(photo_of(scene, seed), settled.fit, settled.covariance, REACH) is None
+        assert np.array_equal(answered(scene, seed).covariance, settled.covariance)
+
+
+def test_little_unevenness_that_the_first_look_misses_is_seen_in_the_grey_levels() -> None:
+    scene = replace(PLAIN, jitter_m=0.0006, noise_grey=1.0, seed=3)
+    fit = fitted(scene, 0)
+    found = on_grey_levels(photo_of(scene, 0), fit, 1e-2 * np.eye(6), REACH)
+    assert found is None
+
+
+def test_a_thing_on_the_paving_does_no_harm() -> None:
+    picture = photo_of(PLAIN, 1)
+    picture[200:290, 180:290] = np.random.default_rng(0).uniform(0, 255, (90, 110))
+    fit = refine_until_still(
+        picture, PLAIN.camera, PLAIN.cam_from_ground, grid_of(PLAIN), free=Free(), search=0.04, reach=REACH
+    )
+    assert fit is not None
+    found = rested(picture, fit, REACH)
+    error = error_of(PLAIN, found.fit.cam_from_ground)
+    assert error @ np.linalg.solve(found.covariance, error) < 22.5
+    assert crossings_off_px(PLAIN, found.fit.cam_from_ground) < 0.02
+
+
+def test_a_camera_that_is_solved_for_and_rows_are_left_alone() -> None:
+    fit, picture = fitted(PLAIN, 0), photo_of(PLAIN, 0)
+    freed = replace(fit, free=Free(focal=True))
+    rows = replace(fit, grid=replace(fit.grid, spacing_x=None))
+    for left in (freed, rows):
+        assert on_grey_levels(picture, left, 1e-4 * np.eye(6), REACH) is None
+
+
+def test_a_pose_that_the_measured_places_contradict_is_none() -> None:
+    fit, picture = fitted(PLAIN, 0), photo_of(PLAIN, 0)
+    near = replace(
+        fit, cam_from_ground=Rigid(fit.cam_from_ground.R, fit.cam_from_ground.t + np.array([0.0, 0.002, 0.0]))
+    )
+    assert on_grey_levels(picture, near, 1e-4 * np.eye(6), REACH) is not None
+    assert on_grey_levels(picture, near, 1e-9 * np.eye(6), REACH) is None
+
+
+def test_the_ratio_of_the_sides_is_found_with_the_pose() -> None:
+    fit, picture = fitted(PLAIN, 2, Free(ratio=True)), photo_of(PLAIN, 2)
+    a, b = PLAIN.spacing_m
+    off = replace(fit, grid=Grid(1.001 * a, b))
+    found = on_grey_levels(picture, off, 1e-2 * np.eye(6), REACH)
+    assert found is not None
+    grid = found.fit.grid
+    assert (grid.spacing_x or 0.0) / grid.spacing_y == pytest.approx(a / b, rel=2e-4)
