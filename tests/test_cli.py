@@ -272,8 +272,11 @@ def test_the_module_runs_as_the_command_and_a_users_mistake_shows_no_traceback(t
 def test_a_process_that_ends_early_waits_for_what_it_began_to_compile(tmp_path):
     cv2.imwrite(str(tmp_path / "photo.png"), np.full((300, 400), 90, np.uint8))
     code = (
-        "import sys, time, autoreg.align, autoreg.job\n"
-        "autoreg.align.warm_up = lambda: (time.sleep(1.5), print('compiled', flush=True))\n"
+        "import sys, threading, time, autoreg.align, autoreg.job\n"
+        "begun, see = threading.Event(), autoreg.job.see\n"
+        "autoreg.align.warm_up = lambda: (begun.set(), time.sleep(1.5), print('compiled', flush=True))\n"
+        # The photo is refused while the other thread compiles, however fast it is looked at.
+        "autoreg.job.see = lambda picture: (begun.wait(30), see(picture))[1]\n"
         "from autoreg.cli import main\n"
         "sys.argv = ['autoreg', 'align', 'photo.png']\n"
         "main()\n"
