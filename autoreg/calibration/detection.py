@@ -113,26 +113,39 @@ def _in_photo(
 
 
 def _find_charuco(gray: Gray, board: Board) -> Detection:
-    most = 0
+    most = markers = 0
     for pixels in _SEARCHED:
         small, scale = pyramid(gray, pixels)
         for legacy in (False, True):
             detector = cv2.aruco.CharucoDetector(board.charuco(legacy=legacy))
-            corners, ids, _, _ = detector.detectBoard(small)
+            corners, ids, _, seen = detector.detectBoard(small)
             # OpenCV answers None, or an empty array, where it finds nothing.
             ids = np.ravel(np.asarray(ids, object)).astype(float)
             ids = ids[np.isfinite(ids)].astype(int)
-            most = max(most, len(ids))
+            most, markers = max(most, len(ids)), max(markers, 0 if seen is None else np.size(seen))
             if len(ids) >= _LEAST_CHARUCO:
                 rough = scale.to_photo(np.asarray(corners, float).reshape(-1, 2))
                 return _exact_charuco(gray, board, ids, rough)
         if scale.factor_x == 1:
             break
-    return nothing(
-        f"only {most} corners of the ChArUco board were found, of at least {_LEAST_CHARUCO}"
-        if most
-        else f"no marker of a ChArUco board ({board.dictionary}) was found"
-    )
+    return nothing(_why_no_charuco(gray, board, most, markers))
+
+
+def _why_no_charuco(gray: Gray, board: Board, corners: int, markers: int) -> str:
+    """Why a ChArUco board was not found, though so many of its corners and so many markers were."""
+    if corners:
+        return f"only {corners} corners of the ChArUco board were found, of at least {_LEAST_CHARUCO}"
+    if markers:
+        return (
+            f"{markers} markers of {board.dictionary} were found, but not where a board of {board.pattern} "
+            "inner corners has them; check --pattern and --dictionary"
+        )
+    # A marker is no marker in a mirror: a chessboard does not tell left from right, this board does.
+    mirrored = cv2.flip(pyramid(gray, _SEARCHED[0])[0], 1)
+    ids = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(mirrored)[1]
+    if ids is not None and len(ids) >= _LEAST_CHARUCO:  # pyright: ignore[reportUnnecessaryComparison]
+        return "the photo is mirrored; switch that off in the camera, or mirror the file back"
+    return f"no marker of a ChArUco board ({board.dictionary}) was found"
 
 
 def _exact_charuco(

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.calibration.board import Board
+from autoreg.calibration.corners import trouble
 from autoreg.calibration.detection import Detection, find_board, nothing
 from autoreg.errors import InputError
 from autoreg.exif import Exif, read_exif
@@ -176,10 +177,16 @@ def find_pattern(sources: Sequence[Source]) -> tuple[int, int] | None:
         except (InputError, ValueError):
             continue
         flags = cv2.CALIB_CB_LARGER + cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, _, meta = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
-        if found and np.ndim(meta) == 2:
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(small, (3, 3), flags)
+        if found and np.ndim(meta) == 2 and _regular(corners, meta, small):
             votes[max(meta.shape[:2]), min(meta.shape[:2])] += 1
     if not votes:
         return None
     most = max(votes.values())
     return max(size for size, count in votes.items() if count == most)
+
+
+def _regular(corners: np.ndarray, meta: np.ndarray, picture: np.ndarray) -> bool:
+    """Whether the corners that the detector grew are a board's; it makes small grids of anything blotchy."""
+    grid = np.asarray(corners, float).reshape(*meta.shape[:2], 2)
+    return trouble(grid, np.zeros(grid.shape[:2]), picture.shape[1], picture.shape[0]) is None

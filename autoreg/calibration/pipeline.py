@@ -13,6 +13,7 @@ from autoreg.calibration.bad_views import sift
 from autoreg.calibration.board import DEFAULT_DICTIONARY, DEFAULT_MARKER, Board, BoardView, parse_pattern
 from autoreg.calibration.coverage import coverage_of
 from autoreg.calibration.flatness import examine_flatness
+from autoreg.calibration.flips import flipped_views
 from autoreg.calibration.grouping import one_camera
 from autoreg.calibration.mixture import two_cameras
 from autoreg.calibration.model_choice import choice_covariance, chosen, freedom_of, rayless, try_models
@@ -28,6 +29,7 @@ from autoreg.calibration.refusals import (
     refuse_unknown,
     refuse_wrong_pattern,
     too_few,
+    without_flipped,
     without_foreign,
 )
 from autoreg.calibration.result import Calibration, LeftOut, Sheet
@@ -102,7 +104,7 @@ def calibrate_views(
         notes: what was done to the photos, likewise.
 
     Raises:
-        InputError: there are fewer than three views, or they are of two cameras.
+        InputError: there are fewer than three views, or they are of two cameras, or mirrored.
         Refusal: the views do not determine a camera.
     """
     if len(views) < LEAST_VIEWS:
@@ -177,17 +179,24 @@ def calibrate_views(
 
 
 def _of_one_camera(data: Data, width: int, height: int) -> tuple[Data, State, tuple[LeftOut, ...]]:
-    """The views of one camera, first values for them, and views of another camera, if there are a few.
+    """The views of one camera, first values for them, and the views that are not of it, if they are few.
 
     Raises:
-        InputError: there are many.
+        InputError: they are many.
     """
     start = first_state(data, width, height)
-    mixture = two_cameras(data, start, freedom_of(GENERAL, start, width, height))
+    freedom = freedom_of(GENERAL, start, width, height)
+    left_out: tuple[LeftOut, ...] = ()
+    # Mirrored photos look like another camera's, so they are sought first.
+    flipped = flipped_views(data, start, freedom, width, height)
+    if flipped is not None:
+        data, left_out = without_flipped(data, flipped)
+        start = start.part(np.flatnonzero(flipped.flips == 0))
+    mixture = two_cameras(data, start, freedom)
     if mixture is None:
-        return data, start, ()
+        return data, start, left_out
     kept, foreign = without_foreign(data, mixture)
-    return kept, start.part(np.flatnonzero(~mixture.second)), foreign
+    return kept, start.part(np.flatnonzero(~mixture.second)), (*left_out, *foreign)
 
 
 def _board(

@@ -9,6 +9,7 @@ import numpy as np
 from autoreg.calibration.adjustment import Adjustment
 from autoreg.calibration.board import Board
 from autoreg.calibration.coverage import coverage_of
+from autoreg.calibration.flips import WORDS, Flipped
 from autoreg.calibration.grouping import LEAST_SHARE, few
 from autoreg.calibration.mixture import Mixture
 from autoreg.calibration.observations import Data
@@ -76,6 +77,41 @@ def refuse_repeats(data: Data) -> None:
             measured=float(data.standpoints),
             limit=float(LEAST_VIEWS),
         )
+
+
+def without_flipped(data: Data, flipped: Flipped) -> tuple[Data, tuple[LeftOut, ...]]:
+    """The views that stand as the sensor saw them, and those that do not, if they are few.
+
+    Args:
+        data: the corners of all views.
+        flipped: what was done to each view.
+
+    Raises:
+        InputError: too many were flipped to say which are as the sensor saw them.
+    """
+    upright = flipped.flips == 0
+    if upright.sum() < LEAST_SHARE * len(data):
+        groups = [(WORDS[k], np.flatnonzero(flipped.flips == k)) for k in np.unique(flipped.flips)]
+        lines = [
+            f"  {len(group)} {words if k == 0 else words + ' against these'}: "
+            + few([data.names[j] for j in group])
+            for k, (words, group) in enumerate(groups)
+        ]
+        lines[0] = lines[0].replace(WORDS[0], "of one kind")
+        raise InputError(
+            "some photos were mirrored or turned over by software and their EXIF does not say so: each group "
+            "shows the principal point on another side of the middle, so together they give a wrong one; "
+            "give the group that stands as the camera saw it:\n" + "\n".join(lines)
+        )
+    left_out = tuple(
+        LeftOut(
+            data.names[k],
+            f"it is {WORDS[flipped.flips[k]]} against most photos, and its EXIF does not say so: it shows "
+            "the principal point on the other side of the middle",
+        )
+        for k in np.flatnonzero(~upright)
+    )
+    return data.part(np.flatnonzero(upright)), left_out
 
 
 def without_foreign(data: Data, mixture: Mixture) -> tuple[Data, tuple[LeftOut, ...]]:
