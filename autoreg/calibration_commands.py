@@ -227,7 +227,8 @@ def _inspection_text(found: Inspection) -> str:
         else:
             lines.append("  in mm: unknown, since no EXIF says the focal length in mm")
     if found.exif_words is not None:
-        lines.append(f"the photo's EXIF: {found.exif_words}")
+        lines.append(f"the photo's EXIF: {found.exif_words.removeprefix('EXIF: ')}")
+    lines += [f"  {support.sentence}" for support in found.supports]
     lines += [f"{oddity.weight}: {oddity.text}" for oddity in found.oddities]
     if not any(oddity.weight != "note" for oddity in found.oddities):
         lines.append("nothing odd was found")
@@ -250,6 +251,9 @@ def _inspection_json(found: Inspection) -> str:
             "sensor_mm": focal.sensor_mm,
         },
         "exif": {"focal_px": found.exif_focal_px, "said": found.exif_words},
+        "supports": [
+            {"claimed": s.claimed, "exif": s.exif, "apart": s.apart, "word": s.word} for s in found.supports
+        ],
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 

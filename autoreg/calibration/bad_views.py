@@ -64,17 +64,20 @@ def held_out_rms(fit: Adjustment) -> Float[np.ndarray, " v"]:
     return np.sqrt(squares / fit.present.sum(1))
 
 
-def sift(data: Data, start: State, sound: Callable[[State], bool] = lambda state: True) -> Sifted:
+def sift(
+    data: Data, start: State, sound: Callable[[State], bool] = lambda state: True, *, shape: bool = False
+) -> Sifted:
     """The views that agree with one another, the worst being left out one by one.
 
     Args:
         data: the corners of all views.
         start: first values.
         sound: whether a state is worth going on from.
+        shape: whether to allow for a bent sheet, which bad views are hidden behind.
     """
     kept = np.arange(len(data))
     state, bad = start, list[BadView]()
-    freedom = Freedom(GENERAL.free)
+    freedom = Freedom(GENERAL.free, shape)
     most = int(MOST_BAD * len(data)) + 1
     while True:
         fit = adjust(data.part(kept), replace(state, poses=state.poses[kept]), freedom)

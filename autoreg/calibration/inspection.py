@@ -11,8 +11,9 @@ from typing import Literal
 import numpy as np
 
 from autoreg.calibration.claims import Claims
+from autoreg.calibration.exif_support import FOCAL_AGREES, FOCAL_CONTRADICTS, Support, exif_support
 from autoreg.calibration.focal import FocalLength, angle_deg, focal_from_angle
-from autoreg.camera import fit_to_photo
+from autoreg.camera import fit_to_photo, same_aspect
 from autoreg.errors import InputError
 from autoreg.exif import Exif, focal_from_exif, read_exif
 from autoreg.image import load_photo
@@ -24,8 +25,6 @@ Weight = Literal["wrong", "odd", "note"]
 _OFF_CENTRE = (0.06, 0.2)
 # Pixels are square to well below a percent.
 _ASPECT = (0.005, 0.02)
-# EXIF's focal lengths are rounded, and breathe with the distance of focus.
-_FOCAL_AGREES, _FOCAL_CONTRADICTS = 0.05, 0.12
 # One figure translated into another should agree to rounding.
 _SAME = 0.01
 # Radial terms that move a corner of the picture by more than this part of its distance are no lens's.
@@ -49,6 +48,7 @@ class Inspection:
         focal: its focal length in every unit, as far as it can be translated; None if it has none.
         exif_focal_px: what the photo's EXIF makes of it, or None.
         exif_words: how that was found, or why not; None without a photo.
+        supports: which of the claimed focal lengths the photo's EXIF supports.
         oddities: what is odd, worst first.
     """
 
@@ -56,6 +56,7 @@ class Inspection:
     focal: FocalLength | None
     exif_focal_px: float | None
     exif_words: str | None
+    supports: tuple[Support, ...]
     oddities: tuple[Oddity, ...]
 
     @property
@@ -72,22 +73,30 @@ def inspect_camera(claims: Claims, photo: Path | None = None) -> Inspection:
     """
     found = [*_shape(claims), *_lens(claims), *_focal_claims(claims), *_quality(claims)]
     exif_focal = exif_words = None
+    supports: tuple[Support, ...] = ()
     width, height, exif = claims.width, claims.height, Exif()
     if photo is not None:
         picture, exif = load_photo(photo), read_exif(photo.read_bytes())
         width, height = float(picture.width), float(picture.height)
         exif_focal, exif_words = focal_from_exif(exif, picture.width, picture.height)
         found += _against_photo(claims, picture.width, picture.height, exif, exif_focal)
+        supports = tuple(exif_support(claims, width, height, exif, exif_focal))
     focal_mm = exif.focal_mm or claims.exif_focal_mm
     focal = None
     if claims.focal is not None and claims.width and claims.height:
-        scale = 1.0
-        if width and height:
-            scale = math.hypot(width, height) / math.hypot(claims.width, claims.height)
-        focal = FocalLength(claims.focal * scale, width or claims.width, height or claims.height, focal_mm)
+        if not width or not height or not _same_frame(claims.width, claims.height, width, height):
+            width, height = claims.width, claims.height
+        scale = math.hypot(width, height) / math.hypot(claims.width, claims.height)
+        focal = FocalLength(claims.focal * scale, width, height, focal_mm)
     order = ("wrong", "odd", "note")
     found.sort(key=lambda oddity: order.index(oddity.weight))
-    return Inspection(claims, focal, exif_focal, exif_words, tuple(found))
+    return Inspection(claims, focal, exif_focal, exif_words, supports, tuple(found))
+
+
+def _same_frame(width: float, height: float, other_width: float, other_height: float) -> bool:
+    """Whether a picture can be a frame made larger or smaller, upright or on its side."""
+    sizes = sorted((round(width), round(height))), sorted((round(other_width), round(other_height)))
+    return same_aspect(*sizes[0], *sizes[1])
 
 
 def _weight(value: float, limits: tuple[float, float]) -> Weight | None:
@@ -234,20 +243,23 @@ def _against_photo(
             if note:
                 yield Oddity("note", note)
     elif claims.width and claims.height and (claims.width, claims.height) != (width, height):
+        same = _same_frame(claims.width, claims.height, width, height)
         yield Oddity(
-            "odd", f"the camera is of {claims.width:.0f} x {claims.height:.0f}, the photo {width} x {height}"
+            "odd" if same else "wrong",
+            f"the camera is of {claims.width:.0f} x {claims.height:.0f}, the photo {width} x {height}"
+            + ("" if same else ": their aspect ratios differ, so it is no plain resize"),
         )
     if exif_focal is None or not (claims.focal and claims.width and claims.height):
         return
     scaled = claims.focal * math.hypot(width, height) / math.hypot(claims.width, claims.height)
     apart = scaled / exif_focal - 1
-    if abs(apart) > _FOCAL_CONTRADICTS:
+    if abs(apart) > FOCAL_CONTRADICTS:
         yield Oddity(
             "wrong",
             f"the focal length is {scaled:.0f} px for this photo but its EXIF supports {exif_focal:.0f} px, "
             f"{100 * apart:+.0f} %: another lens, zoom or crop",
         )
-    elif abs(apart) > _FOCAL_AGREES:
+    elif abs(apart) > FOCAL_AGREES:
         yield Oddity(
             "odd",
             f"the focal length is {100 * apart:+.1f} % off what the photo's EXIF gives ({exif_focal:.0f} "

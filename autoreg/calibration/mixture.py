@@ -57,7 +57,8 @@ def two_cameras(data: Data, start: State, freedom: Freedom) -> Mixture | None:
 
     As k-means does, this fits a camera to each of two groups and gives each view to the camera that fits it
     better, by turns, until no view changes. If the views scatter no more than their corners do, one camera
-    has seen them. Views of nonsense take no part, and count as of the larger group.
+    has seen them; if they do, the sheet's shape is estimated as well, which would hide two cameras behind its
+    own errors. Views of nonsense take no part, and count as of the larger group.
 
     Args:
         data: the corners of all views.
@@ -68,7 +69,10 @@ def two_cameras(data: Data, start: State, freedom: Freedom) -> Mixture | None:
     if len(sane) < 2 * _LEAST_GROUP:
         return None
     data, joint = data.part(sane), adjust(data.part(sane), start.part(sane), freedom)
-    if precision_of(joint).dispersion <= 1:
+    if not _contradictory(joint):
+        return None
+    joint = adjust(data, joint.state, replace(freedom, shape=True))
+    if not _contradictory(joint):
         return None
     found = _best(data, joint)
     if found is None or not found.certain:
@@ -140,6 +144,16 @@ def _mixture(
     return Mixture(second, (one, other), apart, left)
 
 
+def _contradictory(fit: Adjustment) -> bool:
+    """Whether views contradict one another: they scatter too much, or robust fitting gave some of them up."""
+    return precision_of(fit).dispersion > 1 or _discounted(fit) > fit.sigma_px**2
+
+
 def _shared(fit: Adjustment) -> float:
-    """The variance that a view's corners share, beyond their scatter."""
-    return fit.sigma_px**2 * (precision_of(fit).dispersion ** 2 - 1)
+    """The variance that a view's corners share, beyond their scatter, and what robust fitting discounted."""
+    return fit.sigma_px**2 * (precision_of(fit).dispersion ** 2 - 1) + _discounted(fit)
+
+
+def _discounted(fit: Adjustment) -> float:
+    """The variance of corners that their weights took away."""
+    return float(((1 - fit.weights)[..., None] * fit.residuals_px**2).sum()) / max(fit.spare, 1)

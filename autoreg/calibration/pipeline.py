@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from autoreg.calibration.adjustment import adjust
-from autoreg.calibration.bad_views import sift
+from autoreg.calibration.bad_views import Sifted, sift
 from autoreg.calibration.board import DEFAULT_DICTIONARY, DEFAULT_MARKER, Board, BoardView, parse_pattern
 from autoreg.calibration.coverage import coverage_of
 from autoreg.calibration.flatness import examine_flatness
@@ -114,12 +114,9 @@ def calibrate_views(
     everything = data_of(views, board)
     refuse_repeats(everything)
     everything, start, foreign = _of_one_camera(everything, width, height)
-    sifted = sift(everything, start, lambda state: sound(state, width, height))
+    sifted, bent = _sifted(everything, start, board, width, height, sheet)
     data = everything.part(sifted.kept)
     refuse_undetermined(data, sifted.state, width, height)
-    # A bent sheet passes for a lens: where it is bent, lens models are compared with its shape allowed for.
-    first = adjust(data, _with(sifted.state, GENERAL), Freedom(GENERAL.free))
-    bent = sheet == "bent" or examine_flatness(data, first, board).bent
     trials = try_models(data, sifted.state, width, height, shape=bent)
     if not trials:
         raise Refusal(
@@ -197,6 +194,28 @@ def _of_one_camera(data: Data, width: int, height: int) -> tuple[Data, State, tu
         return data, start, left_out
     kept, foreign = without_foreign(data, mixture)
     return kept, start.part(np.flatnonzero(~mixture.second)), (*left_out, *foreign)
+
+
+def _sifted(
+    data: Data, start: State, board: Board, width: int, height: int, sheet: Sheet
+) -> tuple[Sifted, bool]:
+    """The views that agree, and whether the sheet is bent, so that its shape must be allowed for.
+
+    A bent sheet passes for a lens, and its errors are so large that bad views are hidden behind them.
+    """
+
+    def is_sound(state: State) -> bool:
+        return sound(state, width, height)
+
+    sifted = sift(data, start, is_sound)
+    kept = data.part(sifted.kept)
+    first = adjust(kept, _with(sifted.state, GENERAL), Freedom(GENERAL.free))
+    if sheet == "flat" and not examine_flatness(kept, first, board).bent:
+        return sifted, False
+    again = sift(kept, first.state, is_sound, shape=True)
+    which = tuple(sifted.kept[k] for k in again.kept)
+    flat = replace(again.state, shape=np.zeros_like(again.state.shape))
+    return Sifted(which, flat, (*sifted.bad, *again.bad)), True
 
 
 def _board(

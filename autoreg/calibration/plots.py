@@ -104,12 +104,13 @@ def _views(axes: Any, calibration: Calibration) -> None:
     rms, names = calibration.fit.view_rms_px, calibration.data.names
     left_out = {bad.name: bad.held_out_px for bad in calibration.bad}
     axes.barh(range(len(names)), rms, color=_BLUE, label="took part (RMS)")
-    axes.barh(
-        range(len(names), len(names) + len(left_out)),
-        list(left_out.values()),
-        color=_ORANGE,
-        label="left out (RMS when foretold)",
-    )
+    if left_out:
+        axes.barh(
+            range(len(names), len(names) + len(left_out)),
+            list(left_out.values()),
+            color=_ORANGE,
+            label="left out (RMS when foretold)",
+        )
     labels = [*names, *left_out]
     if len(labels) <= 60:
         axes.set_yticks(range(len(labels)), labels, fontsize=min(9, 260 / len(labels)))
