@@ -99,6 +99,21 @@ def test_a_charuco_board_that_is_not_there_is_missed_by_name():
     assert "ChArUco" in found.reason
 
 
+def test_a_charuco_board_in_a_mirror_or_of_another_size_is_named():
+    board = Board(7, 5, 0.03, True, "charuco")
+    picture = render_board(BoardScene(SMALL, board, facing(SMALL, board, 0.4), blur_px=0.6, samples=3))
+    assert "mirrored" in find_board(np.ascontiguousarray(picture[:, ::-1]), board).reason
+    assert "check --pattern" in find_board(picture, Board(8, 5, 0.03, True, "charuco")).reason
+
+
+def test_blotches_are_no_pattern():
+    blots = [
+        np.clip(cv2.GaussianBlur(rng.normal(128, 200, (960, 1280)), (0, 0), 6), 0, 255).astype(np.uint8)
+        for rng in map(np.random.default_rng, range(3))
+    ]
+    assert find_pattern(blots) is None
+
+
 def test_a_bent_sheet_is_drawn_where_its_corners_are():
     bend = (0.08, 0.0, 0.03)
     pose = poses(SMALL, 1, seed=3)[0]

@@ -14,6 +14,7 @@ from autoreg.calibration.mixture import two_cameras
 from autoreg.calibration.model_choice import choice_covariance, chosen, folds, freedom_of, try_models
 from autoreg.calibration.models import GENERAL, LENS_MODELS, camera_of, intrinsics_of
 from autoreg.calibration.observations import data_of
+from autoreg.calibration.pipeline import calibrate_views
 from autoreg.calibration.precision import precision_of
 from autoreg.calibration.projection_map import difference_map, halves_differ, uncertainty_map
 from autoreg.calibration.starting import first_state
@@ -334,6 +335,35 @@ def test_one_camera_is_never_taken_for_two(kind):
             px = camera.project(pose.apply(places)) + rng.normal(0, 0.1, (54, 2))
             seen.append(BoardView(str(k), np.arange(54), px))
         assert mixture_of(seen) is None
+
+
+def bent_views(camera, count, seed, bend=(0.03, 0.01, -0.02)):
+    rng = np.random.default_rng(seed)
+    return [
+        BoardView(
+            f"view{k}.jpg",
+            np.arange(54),
+            camera.project(pose.apply(bent_points(BOARD, bend))) + rng.normal(0, 0.1, (54, 2)),
+        )
+        for k, pose in enumerate(poses(camera, count, seed))
+    ]
+
+
+@pytest.mark.parametrize("others", [5, 9])
+def test_two_cameras_are_told_apart_behind_a_bent_sheet(others):
+    other = replace(CAMERA, fx=1.2 * CAMERA.fx, fy=1.2 * CAMERA.fy)
+    found = mixture_of([*bent_views(CAMERA, 11, 0), *bent_views(other, others, 5)])
+    assert found is not None
+    assert list(found.second) == [False] * 11 + [True] * others
+
+
+def test_a_bad_view_is_found_behind_a_bent_sheet():
+    seen = bent_views(CAMERA, 14, 2)
+    seen[5].corners_px[9:18] += [3.0, 0.0]
+    found = calibrate_views(seen, BOARD, W, H)
+    assert [out.name for out in found.left_out] == ["view5.jpg"]
+    clean = data_of(bent_views(CAMERA, 14, 2), BOARD)
+    assert sift(clean, first_state(clean, W, H), shape=True).bad == ()
 
 
 def test_a_flat_sheet_is_flat_and_a_bent_one_is_not():

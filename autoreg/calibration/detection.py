@@ -122,7 +122,7 @@ def _find_charuco(gray: Gray, board: Board) -> Detection:
             # OpenCV answers None, or an empty array, where it finds nothing.
             ids = np.ravel(np.asarray(ids, object)).astype(float)
             ids = ids[np.isfinite(ids)].astype(int)
-            most, markers = max(most, len(ids)), max(markers, 0 if seen is None else np.size(seen))
+            most, markers = max(most, len(ids)), max(markers, _count(seen))
             if len(ids) >= _LEAST_CHARUCO:
                 rough = scale.to_photo(np.asarray(corners, float).reshape(-1, 2))
                 return _exact_charuco(gray, board, ids, rough)
@@ -143,9 +143,14 @@ def _why_no_charuco(gray: Gray, board: Board, corners: int, markers: int) -> str
     # A marker is no marker in a mirror: a chessboard does not tell left from right, this board does.
     mirrored = cv2.flip(pyramid(gray, _SEARCHED[0])[0], 1)
     ids = cv2.aruco.CharucoDetector(board.charuco()).detectBoard(mirrored)[1]
-    if ids is not None and len(ids) >= _LEAST_CHARUCO:  # pyright: ignore[reportUnnecessaryComparison]
+    if _count(ids) >= _LEAST_CHARUCO:
         return "the photo is mirrored; switch that off in the camera, or mirror the file back"
     return f"no marker of a ChArUco board ({board.dictionary}) was found"
+
+
+def _count(found: object) -> int:
+    """How many of something OpenCV found; it answers None, or an empty array, where it finds nothing."""
+    return 0 if found is None else int(np.size(np.asarray(found)))
 
 
 def _exact_charuco(

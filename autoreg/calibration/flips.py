@@ -1,4 +1,4 @@
-"""Were some photos mirrored, or turned by half, without their EXIF saying so? Then their centre moves over."""
+"""Were some photos mirrored, or turned by half, and EXIF does not say so? Their centre is moved over."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def _posed(joint: State, near: State, flips: Sequence[int] | np.ndarray) -> Stat
 
 
 def _turned(pose: Float[np.ndarray, "6"], signs: Int[np.ndarray, "2"]) -> Float[np.ndarray, "6"]:
-    """The pose of a flat board in a picture whose axes are mirrored: of a mirrored board one sees the back."""
+    """The pose of a flat board in a picture with mirrored axes: a mirrored board shows its back."""
     mirror = np.array([signs[0], signs[1], 1.0])
     R = np.asarray(cv2.Rodrigues(pose[:3])[0])
     x, y = mirror * R[:, 0], mirror * R[:, 1]

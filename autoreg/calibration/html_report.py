@@ -29,8 +29,8 @@ figure { margin: 1.5rem 0 } img { max-width: 100% } figcaption { color: #555; fo
 """
 
 _CAPTIONS = {
-    "coverage": "Where corners were seen: the next photos should show the board where it is white. Outside the "
-    "valid region the lens model extrapolates.",
+    "coverage": "Where corners were seen: the next photos should show the board where it is white. "
+    "Outside the valid region the lens model extrapolates.",
     "tilts": "How the board leaned, one dot for each photo. It should lean by 20° to 45°, in all directions.",
     "uncertainty": "How far off the direction of a pixel may be: one standard deviation, in its worst "
     "direction, "
@@ -40,8 +40,8 @@ _CAPTIONS = {
     "residuals": "Measured minus projected corners. Neighbours that point the same way share an error: a "
     "bent sheet, or a lens that the model does not describe.",
     "views": "How well each view fits; those left out are judged by what the others foretell.",
-    "models": "Lens models, judged by views they were not fitted to. Green: the one chosen, which has every term "
-    "that those views do not speak against; a term that is missing would do more harm than one too many.",
+    "models": "Lens models, judged by views they were not fitted to. Green: the one chosen, which has "
+    "every term that those views do not speak against; a term that is missing would do more harm than one too many.",
     "sheet": "Heights of the corners off the plane, if the sheet's shape is estimated too.",
 }
 

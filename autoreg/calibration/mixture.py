@@ -28,6 +28,8 @@ _TOLERANCE = 1e-5
 _LEAST_APART = 40.0
 # And they explain all but this part of the variance that the views share beyond their corners' scatter.
 _MOST_LEFT = 0.25
+# No other division can explain more than one that leaves less than this part.
+_NOTHING_LEFT = 0.02
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,14 @@ def two_cameras(data: Data, start: State, freedom: Freedom) -> Mixture | None:
 
 
 def _best(data: Data, joint: Adjustment) -> Mixture | None:
-    """The division with the smallest residuals of all that are settled on."""
+    """The division with the smallest residuals of all that are settled on, or one that leaves nothing."""
     best: tuple[float, Mixture] | None = None
     for start in _starts(joint):
         settled = _settled(data, joint, start)
         if settled is not None and (best is None or settled[0] < best[0]):
             best = settled
+            if settled[1].certain and settled[1].left < _NOTHING_LEFT:
+                break
     return None if best is None else best[1]
 
 
