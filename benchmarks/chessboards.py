@@ -255,7 +255,7 @@ def _views_with_bad(camera: Camera, rng: np.random.Generator, count: int, kind: 
     return views
 
 
-def wrong(runs: int = 50, views: int = 40) -> None:
+def wrong(runs: int = 50, views: int = 20) -> None:
     """Whole calibrations of which one view in twenty is nonsense: other places, another order, one line."""
     camera = lens("barrel")
     ended: Counter[str] = Counter()

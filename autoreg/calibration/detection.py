@@ -119,7 +119,6 @@ def _find_charuco(gray: Gray, board: Board) -> Detection:
         for legacy in (False, True):
             detector = cv2.aruco.CharucoDetector(board.charuco(legacy=legacy))
             corners, ids, _, seen = detector.detectBoard(small)
-            # OpenCV answers None, or an empty array, where it finds nothing.
             ids = np.ravel(np.asarray(ids, object)).astype(float)
             ids = ids[np.isfinite(ids)].astype(int)
             most, markers = max(most, len(ids)), max(markers, _count(seen))

@@ -40,8 +40,8 @@ _CAPTIONS = {
     "residuals": "Measured minus projected corners. Neighbours that point the same way share an error: a "
     "bent sheet, or a lens that the model does not describe.",
     "views": "How well each view fits; those left out are judged by what the others foretell.",
-    "models": "Lens models, judged by views they were not fitted to. Green: the one chosen, which has "
-    "every term that those views do not speak against; a term that is missing would do more harm than one too many.",
+    "models": "Lens models, judged by views they were not fitted to. Green: the one chosen, with every "
+    "term that those views do not speak against; a term that is missing does more harm than one too many.",
     "sheet": "Heights of the corners off the plane, if the sheet's shape is estimated too.",
 }
 
