@@ -89,6 +89,26 @@ def test_a_camera_of_another_size_is_translated_to_the_photo(tmp_path, photo):
     assert "scaled" in texts(found, "note")
 
 
+@pytest.mark.parametrize(
+    ("focal", "word"), [(1202.0, "supported"), (1300.0, "doubtful"), (1500.0, "contradicted")]
+)
+def test_exif_says_which_claimed_focal_lengths_it_supports(focal, word, tmp_path, photo):
+    path = tmp_path / "claims.json"
+    claimed = {"width": 3200, "height": 2400, "focal_px": 2 * 1202, "exif_focal_mm": 4.1}
+    path.write_text(json.dumps(claimed | {"angle_of_view_deg": angle_deg(2 * focal, 3200.0)}))
+    found = inspect_camera(read_claims(path), photo)
+    assert [support.word for support in found.supports] == ["supported", word, "supported"]
+    assert f"{focal / 1202 - 1:+.1%}".replace("%", " %") in found.supports[1].sentence
+
+
+def test_a_photo_of_another_shape_is_wrong_and_gives_no_units(tmp_path):
+    other = tmp_path / "other.png"
+    Image.new("L", (800, 602), 128).save(other)
+    found = inspect_camera(read_claims(FIXTURE), other)
+    assert "aspect ratios differ" in texts(found, "wrong")
+    assert (found.focal.width, found.focal.px) == (4896, 2875.9)
+
+
 def test_one_focal_length_in_four_units():
     focal = FocalLength(4896 / 7.0 * 4.1, 4896.0, 2752.0, 4.1)
     assert focal.sensor_mm[0] == pytest.approx(7.0)

@@ -74,21 +74,25 @@ def flipped_views(data: Data, start: State, freedom: Freedom, width: int, height
     if precision_of(joint).dispersion <= 1:
         return None
     middle = np.array([width - 1, height - 1]) / 2
-    settled = [_settled(some, joint, first, middle) for first in _starts(joint)]
-    best = min((s for s in settled if s is not None), key=lambda s: s.left, default=None)
-    if best is None or not best.certain:
+    settled = [_settled(some, joint, first, kinds, middle) for kinds, first in _starts(joint)]
+    certain = [found for found in settled if found is not None and found.certain]
+    if not certain:
         return None
+    # Software does one thing to a folder; a mixture of several is believed only if none of them explains it.
+    best = max(certain, key=lambda found: (-len(np.unique(found.flips)), found.gain))
     flips = np.zeros(len(data), int)
     flips[sane] = best.flips
     return replace(best, flips=flips)
 
 
-def _starts(joint: Adjustment) -> Generator[Int[np.ndarray, " v"]]:
-    """First guesses: views that pull the principal point of the fit to all to one side, or up, or both."""
+def _starts(joint: Adjustment) -> Generator[tuple[tuple[int, ...], Int[np.ndarray, " v"]]]:
+    """What may have been done, and a first guess: the views that pull the centre to one side."""
     across, down = (joint.gradients[:, _among(joint, name)] > 0 for name in ("cx", "cy"))
-    for x, y in ((across, across & ~across), (down & ~down, down), (across, across), (down, down)):
-        yield x + 2 * y
-    yield across + 2 * down
+    yield (0, 1), 1 * across
+    yield (0, 2), 2 * down
+    yield (0, 3), 3 * across
+    yield (0, 3), 3 * down
+    yield (0, 1, 2, 3), across + 2 * down
 
 
 def _among(fit: Adjustment, name: str) -> int:
@@ -97,7 +101,11 @@ def _among(fit: Adjustment, name: str) -> int:
 
 
 def _settled(
-    data: Data, joint: Adjustment, flips: Int[np.ndarray, " v"], middle: Float[np.ndarray, "2"]
+    data: Data,
+    joint: Adjustment,
+    flips: Int[np.ndarray, " v"],
+    kinds: tuple[int, ...],
+    middle: Float[np.ndarray, "2"],
 ) -> Flipped | None:
     """The guess at which no view changes any more."""
     state = joint.state
@@ -110,8 +118,8 @@ def _settled(
         if fit.outcome == "diverged":
             return None
         state = fit.state
-        rms = np.array([_foretold(data, joint.state, state, k, middle) for k in range(len(SIGNS))])
-        now = np.argmin(rms, axis=0)
+        rms = np.array([_foretold(data, joint.state, state, kind, middle) for kind in kinds])
+        now = np.array(kinds)[np.argmin(rms, axis=0)]
         if (now == flips).all():
             return _judged(joint, flips, fit)
         flips = now

@@ -243,7 +243,7 @@ def _against_photo(
             if note:
                 yield Oddity("note", note)
     elif claims.width and claims.height and (claims.width, claims.height) != (width, height):
-        same = _same_frame(claims.width, claims.height, width, height)
+        same = _same_frame(claims.width, claims.height, float(width), float(height))
         yield Oddity(
             "odd" if same else "wrong",
             f"the camera is of {claims.width:.0f} x {claims.height:.0f}, the photo {width} x {height}"
