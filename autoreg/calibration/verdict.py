@@ -197,8 +197,9 @@ def _consistent(e: Evidence, limits: Limits) -> list[Finding]:
                 grade,
                 f"the views scatter {e.precision.dispersion:.1f} times as much as their corners do: they "
                 "share errors "
-                "(a bent or badly measured sheet, autofocus or stabilisation that changes between photos)",
-                "switch off autofocus and stabilisation, and do not zoom",
+                "(a bent or badly measured sheet, autofocus or stabilisation that changes between photos, "
+                "or photos of two cameras that are much alike)",
+                "switch off autofocus and stabilisation, do not zoom, and give photos of one camera",
             )
         )
     return found
