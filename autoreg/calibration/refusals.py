@@ -91,13 +91,12 @@ def without_flipped(data: Data, flipped: Flipped) -> tuple[Data, tuple[LeftOut, 
     """
     upright = flipped.flips == 0
     if upright.sum() < LEAST_SHARE * len(data):
-        groups = [(WORDS[k], np.flatnonzero(flipped.flips == k)) for k in np.unique(flipped.flips)]
+        kinds = [(k, [data.names[j] for j in np.flatnonzero(flipped.flips == k)]) for k in range(len(WORDS))]
         lines = [
-            f"  {len(group)} {words if k == 0 else words + ' against these'}: "
-            + few([data.names[j] for j in group])
-            for k, (words, group) in enumerate(groups)
+            f"  {len(names)} {f'{WORDS[k]} against these' if k else 'of one kind'}: {few(names)}"
+            for k, names in kinds
+            if names
         ]
-        lines[0] = lines[0].replace(WORDS[0], "of one kind")
         raise InputError(
             "some photos were mirrored or turned over by software and their EXIF does not say so: each group "
             "shows the principal point on another side of the middle, so together they give a wrong one; "
