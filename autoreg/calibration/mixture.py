@@ -59,8 +59,9 @@ def two_cameras(data: Data, start: State, freedom: Freedom) -> Mixture | None:
 
     As k-means does, this fits a camera to each of two groups and gives each view to the camera that fits it
     better, by turns, until no view changes. If the views scatter no more than their corners do, one camera
-    has seen them; if they do, the sheet's shape is estimated as well, which would hide two cameras behind its
-    own errors. Views of nonsense take no part, and count as of the larger group.
+    has seen them. If they do and no division explains it, the sheet's shape is estimated as well, because a
+    bent sheet hides two cameras behind errors of its own. Views of nonsense take no part, and count as of the
+    larger group.
 
     Args:
         data: the corners of all views.
@@ -73,10 +74,10 @@ def two_cameras(data: Data, start: State, freedom: Freedom) -> Mixture | None:
     data, joint = data.part(sane), adjust(data.part(sane), start.part(sane), freedom)
     if not _contradictory(joint):
         return None
-    joint = adjust(data, joint.state, replace(freedom, shape=True))
-    if not _contradictory(joint):
-        return None
     found = _best(data, joint)
+    if found is None or not found.certain:
+        joint = adjust(data, joint.state, replace(freedom, shape=True))
+        found = _best(data, joint) if _contradictory(joint) else None
     if found is None or not found.certain:
         return None
     second = np.zeros(len(start.poses), bool)
