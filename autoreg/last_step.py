@@ -25,10 +25,10 @@ def rested(
 ) -> Settled:
     """The fit at its last pose, with that pose's covariance, and the scatter of its slabs.
 
-    The model of irregular slabs knows the turn better; and the place, where the joints' widths tell how far
-    the relief of sunk joints moves them. Without these a relief is hard to tell from a shift of all joints,
-    and the plain joints know the place better. Where the slabs lie so evenly that the
-    picture's grey levels can tell no difference, these tell the pose.
+    The model of irregular slabs knows the turn better, and the place as well where the joints' widths tell
+    how far the relief of sunk joints moves them. Without these a relief is hard to tell from a shift of all
+    joints, and the plain joints know the place better. Where the slabs lie so evenly that the picture's grey
+    levels can tell no difference, these tell the pose.
     """
     settled = settle(fit)
     if fit.grid.spacing_x is None:

@@ -38,15 +38,15 @@ class MeasuredJoints:
     rows: Int[np.ndarray, " n"]
     wide: Int[np.ndarray, " m"]
     width: float
-    off_px: Float[np.ndarray, " n+m"]
-    noise_px: Float[np.ndarray, " n+m"]
+    off_px: Float[np.ndarray, " k"]
+    noise_px: Float[np.ndarray, " k"]
 
     @property
     def px_per_unit(self) -> Float[np.ndarray, " n"]:
         """Scale across each joint."""
         return self.fit.profiles.px_per_unit[self.rows]
 
-    def middles_only(self, effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "n+m r"]:
+    def middles_only(self, effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "k r"]:
         """Effects on the middles as such on all that is measured: they leave the widths alone."""
         return np.concatenate([effects, np.zeros((len(self.wide), effects.shape[1]))])
 

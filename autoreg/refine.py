@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
 from autoreg.edges import Offsets, Widths, fit_offsets, fit_widths
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
 from autoreg.joint_looks import (
+    DARK,
     Strip,
     bloom_px,
     estimate_strip,
@@ -21,6 +22,7 @@ from autoreg.joint_looks import (
     middle_px,
     projected_width_px,
     search_joints,
+    washed_out,
     width_px_of,
 )
 from autoreg.profiles import Profiles, sample_profiles
@@ -29,7 +31,6 @@ from autoreg.scatter import beside_rim, scatter_model
 from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Solution, solve_joints
 from autoreg.stations import (
     ALONG_X,
-    ALONG_Y,
     Grid,
     Stations,
     place_stations,
@@ -44,16 +45,12 @@ MOST_SIDES = 200.0
 # Where joints are neither dark nor light, those whose contrast, against the light around them, is below this
 # part of what is usual are none.
 FAINT = 0.1
-# Dark or light joints are none whose contrast is below this part of what the clearest of their family have.
-WASHED_OUT, CLEAREST = 0.25, 0.8
 # What is seen on either side of a joint, and the farthest that profiles reach for wide ones, in pixels.
 SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 # ... and where nothing is known of the joints.
 UNKNOWN_HALF_PX = 16.0
 # A motion by less than this share of the joints' median distance from their lines does not matter.
 STILL_SHARE = 0.02
-# Grey levels that even the deepest shadow has.
-DARK = 8.0
 
 
 @dataclass(frozen=True)
@@ -289,33 +286,12 @@ def _measured(
     contrast = (np.abs(offsets.depth) + 0.5 * np.abs(offsets.step)) / (profiles.values.mean(1) + DARK)
     if usable.any():
         usable &= (sign != 0) | (contrast > FAINT * np.median(contrast[usable]))
-    usable &= ~_washed_out(profiles, stations, offsets, sign, usable)
+    usable &= ~washed_out(profiles, stations, offsets, usable & (sign != 0))
     if usable.sum() < 12:
         return None
     strip = replace(strip, polarity=polarity)
     strip = estimate_strip(profiles, offsets, stations, strip, usable, side, thorough=not known)
     return offsets, usable, strip
-
-
-def _washed_out(
-    profiles: Profiles,
-    stations: Stations,
-    offsets: Offsets,
-    sign: Int[np.ndarray, " n"],
-    usable: Bool[np.ndarray, " n"],
-) -> Bool[np.ndarray, " n"]:
-    """Stations whose dark or light joint is hardly there, against the clearest of its family.
-
-    Where the wall of the far slab is lit and hides the bed, a joint looks like its slabs; what is left is
-    their step of tone, which either of the strip's edges may take for its own.
-    """
-    depth = np.abs(offsets.depth) / (profiles.values.mean(1) + DARK)
-    lost = np.zeros(len(depth), dtype=bool)
-    for family in (ALONG_X, ALONG_Y):
-        members = usable & (stations.family == family) & (sign != 0)
-        if members.any():
-            lost |= members & (depth < WASHED_OUT * np.quantile(depth[members], CLEAREST))
-    return lost
 
 
 def joint_data(

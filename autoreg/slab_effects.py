@@ -16,9 +16,9 @@ from autoreg.stations import ALONG_X, ALONG_Y
 KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
 # Shift of a joint's far edge by a shadow on the bed, against that by a lit wall, and the near edge's against
 # the far one's.
-FAR_SHADE, NEAR_SHADE = 0.4, 0.03
+FAR_SHADE, NEAR_SHADE = 0.4, 0.2
 # What is not known of the joints' full width, as a share of it, and what a wrong blur adds to it.
-WIDTH_SIGMA, BLUR_PX = 0.06, 0.15
+WIDTH_SIGMA, BLUR_PX = 0.1, 0.15
 
 
 def slab_effects(joints: MeasuredJoints, a: float, b: float, side: float) -> tuple[csr_matrix, ...]:
