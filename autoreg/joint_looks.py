@@ -33,8 +33,6 @@ NO_JOINT_BONUS, NO_JOINT_GAIN = 0.1, 0.01
 LEAST_KIND, KIND_SHARE = 8, 0.2
 # Grey levels that even the deepest shadow has.
 DARK = 8.0
-# Dark or light joints are none whose contrast is below this part of what the clearest of their family have.
-WASHED_OUT, CLEAREST = 0.25, 0.8
 # Stations of either family that tell the looks.
 SAMPLE = 90
 
@@ -143,23 +141,6 @@ def joint_polarity(
         dark = float(np.mean(looks.depth[lined] < 0))
         signs.append(-1 if dark > 0.75 else 1 if dark < 0.25 else 0)
     return signs[0], signs[1]
-
-
-def washed_out(
-    profiles: Profiles, stations: Stations, offsets: Offsets, lined: Bool[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
-    """Those of the `lined` stations whose joint is hardly there, against the clearest of its family.
-
-    Where the lit wall of the far slab hides the bed, a joint looks like its slabs; what is left is their step
-    of tone, which either of the strip's edges may take for its own.
-    """
-    contrast = np.abs(offsets.depth) / (profiles.values.mean(1) + DARK)
-    lost = np.zeros(len(contrast), dtype=bool)
-    for family in (ALONG_X, ALONG_Y):
-        members = lined & (stations.family == family)
-        if members.any():
-            lost |= members & (contrast < WASHED_OUT * np.quantile(contrast[members], CLEAREST))
-    return lost
 
 
 def estimate_strip(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.corrections import recentred
-from autoreg.measured_joints import widths_told
+from autoreg.measured_joints import widths_told, without_washed_out
 from autoreg.photometric import on_grey_levels
 from autoreg.refine import Fit
 from autoreg.uncertainty import Settled, settle
@@ -30,9 +30,10 @@ def rested(
     joints, and the plain joints know the place better. Where the slabs lie so evenly that the picture's grey
     levels can tell no difference, these tell the pose.
     """
-    settled = settle(fit)
     if fit.grid.spacing_x is None:
-        return settled
+        return settle(fit)
+    fit = without_washed_out(fit)
+    settled = settle(fit)
     if not widths_told(fit):
         settled = replace(settled, fit=recentred(settled.fit))
     if settled.scatter.place * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:

@@ -8,18 +8,22 @@ pose could imitate otherwise.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from autoreg.joint_looks import width_px_of
+from autoreg.joint_looks import DARK, width_px_of
 from autoreg.refine import Fit
+from autoreg.stations import ALONG_X, ALONG_Y
 
 # Joints at least this many blurs wide show both edges apart.
 CLEAR_BLURS = 2.5
 # Joints are as wide as this share of them look at most: others are hidden in part, or their slabs lie off.
 FULL_SHARE = 0.75
+# Dark or light joints are none whose contrast is below this part of what the clearest of their family have,
+# unless fewer than so many lines would be left.
+WASHED_OUT, CLEAREST, FEWEST_LINES = 0.25, 0.8, 3
 # A smaller share of stations with wide joints says nothing for the others.
 LEAST_WIDE = 0.1
 # A slab side's place is not known better than this, whatever its profiles say: texture, interpolation, JPEG.
@@ -51,21 +55,39 @@ class MeasuredJoints:
         return np.concatenate([effects, np.zeros((len(self.wide), effects.shape[1]))])
 
 
-def measured_joints(fit: Fit, rows: Int[np.ndarray, " n"]) -> MeasuredJoints:
-    """The middles of some of a fit's stations, and the widths of those whose edges are told apart."""
+def without_washed_out(fit: Fit) -> Fit:
+    """The fit without the joints that are hardly there, against the clearest of their family.
+
+    Where the lit wall of the far slab hides the bed, a joint looks like its slabs; what is left is their step
+    of tone, which either of the strip's edges may take for its own.
+    """
+    contrast = np.abs(fit.offsets.depth) / (fit.profiles.values.mean(1) + DARK)
+    usable = fit.usable.copy()
+    for family in (ALONG_X, ALONG_Y):
+        members = np.flatnonzero(fit.usable & (fit.stations.family == family))
+        if fit.strip.polarity[family] == 0 or not len(members):
+            continue
+        lost = contrast[members] < WASHED_OUT * np.quantile(contrast[members], CLEAREST)
+        if len(np.unique(fit.stations.line[members[~lost]])) >= FEWEST_LINES:
+            usable[members[lost]] = False
+    return replace(fit, usable=usable)
+
+
+def measured_joints(fit: Fit, rows: Int[np.ndarray, " n"], *, widths: bool = True) -> MeasuredJoints:
+    """The middles of some of a fit's stations, and the `widths` of those whose edges are told apart."""
     side = fit.stations.side
     off, claim = fit.distances_px[rows].copy(), fit.offsets.sigma_px[rows].copy()
-    wide = _told_apart(fit, rows)
+    wide = _told_apart(fit, rows) if widths else np.zeros(0, dtype=int)
     if not len(wide):
         return MeasuredJoints(fit, rows, wide, 0.0, off, _own_noise(claim, off, side[rows]))
-    both, widths = rows[wide], fit.widths
+    both, told = rows[wide], fit.widths
     # By a strip of fixed width, a middle is that of the edge which looks right and one that is missing.
-    off[wide] -= widths.middle_px[both] - fit.offsets.offset_px[both]
-    claim[wide] = widths.sigma_middle_px[both]
+    off[wide] -= told.middle_px[both] - fit.offsets.offset_px[both]
+    claim[wide] = told.sigma_middle_px[both]
     px_per_unit = fit.profiles.px_per_unit[both]
-    width = float(np.quantile(widths.width_px[both] / px_per_unit, FULL_SHARE))
-    narrower = width * px_per_unit - widths.width_px[both]
-    noise = _own_noise(claim, off, side[rows]), _own_noise(widths.sigma_width_px[both], narrower, side[both])
+    width = float(np.quantile(told.width_px[both] / px_per_unit, FULL_SHARE))
+    narrower = width * px_per_unit - told.width_px[both]
+    noise = _own_noise(claim, off, side[rows]), _own_noise(told.sigma_width_px[both], narrower, side[both])
     return MeasuredJoints(fit, rows, wide, width, np.r_[off, narrower], np.concatenate(noise))
 
 

@@ -22,7 +22,6 @@ from autoreg.joint_looks import (
     middle_px,
     projected_width_px,
     search_joints,
-    washed_out,
     width_px_of,
 )
 from autoreg.profiles import Profiles, sample_profiles
@@ -286,7 +285,6 @@ def _measured(
     contrast = (np.abs(offsets.depth) + 0.5 * np.abs(offsets.step)) / (profiles.values.mean(1) + DARK)
     if usable.any():
         usable &= (sign != 0) | (contrast > FAINT * np.median(contrast[usable]))
-    usable &= ~washed_out(profiles, stations, offsets, usable & (sign != 0))
     if usable.sum() < 12:
         return None
     strip = replace(strip, polarity=polarity)

@@ -80,6 +80,7 @@ def estimate_motion(
     near: Scatter | None = None,
     *,
     bow: float = 0.0,
+    widths: bool = True,
 ) -> Estimate:
     """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
 
@@ -89,10 +90,11 @@ def estimate_motion(
         prior: what is known of them, counted from the fit.
         near: the scatter of an earlier estimate of this photo, near which to search instead of everywhere.
         bow: how far from a plane the ground may be bent, as a share of its extent (standard deviation).
+        widths: whether the joints' widths have a say.
     """
     rows = np.flatnonzero(fit.usable)
-    sizes, relief = _likeliest_sizes(_Model(fit, mask, prior, bow, _in_blocks(fit, rows)), near)
-    model = _Model(fit, mask, prior, bow, rows)
+    sizes, relief = _likeliest_sizes(_Model(fit, mask, prior, bow, _in_blocks(fit, rows), widths), near)
+    model = _Model(fit, mask, prior, bow, rows, widths)
     for _ in range(2):
         model.reweigh(sizes, relief)
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
@@ -178,9 +180,10 @@ class _Model:
         prior: Prior,
         bow: float,
         rows: Int[np.ndarray, " n"],
+        widths: bool,
     ) -> None:
         self.free = np.flatnonzero(mask)
-        self.joints = joints = measured_joints(fit, rows)
+        self.joints = joints = measured_joints(fit, rows, widths=widths)
         # The widths know nothing of the pose, but what makes them differ moves the middles as well.
         J = joints.middles_only(fit.solution.jacobian[np.ix_(rows, self.free)])
         # Columns of unit length keep the normal equations well scaled.

@@ -15,7 +15,7 @@ from autoreg.freedom import Free
 from autoreg.geometry import vector_from_rotation
 from autoreg.image import as_gray
 from autoreg.joint_looks import width_px_of
-from autoreg.measured_joints import measured_joints, widths_told
+from autoreg.measured_joints import measured_joints, widths_told, without_washed_out
 from autoreg.refine import Fit, refine_until_still
 from autoreg.stations import ALONG_Y, Grid, project_ground
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
@@ -32,10 +32,11 @@ SCENE = SyntheticScene(
 
 
 @cache
-def fitted(joint_width_m: float = 0.012, jitter_m: float = 0.0005) -> Fit:
-    photo = render_paving(replace(SCENE, joint_width_m=joint_width_m, jitter_m=jitter_m))
+def fitted(width: int = 1200, joint_width_m: float = 0.012) -> Fit:
+    camera = SCENE.camera.scaled(width, width * 3 // 4)
+    photo = render_paving(replace(SCENE, camera=camera, joint_width_m=joint_width_m))
     fit = refine_until_still(
-        as_gray(photo.pixels).astype(np.float32), SCENE.camera, SCENE.cam_from_ground, Grid(0.4, 0.4),
+        as_gray(photo.pixels).astype(np.float32), camera, SCENE.cam_from_ground, Grid(0.4, 0.4),
         free=Free(), search=0.08, reach=12.0,
     )  # fmt: skip
     assert fit is not None
@@ -86,10 +87,40 @@ def test_measured_widths_are_those_of_the_drawn_joints():
     assert len(joints.off_px) == len(joints.noise_px) == len(joints.rows) + len(joints.wide)
 
 
-def test_thin_joints_tell_no_widths():
-    fit = fitted(0.0015, 0.0)
-    assert not widths_told(fit)
-    assert len(measured_joints(fit, np.flatnonzero(fit.usable)).wide) == 0
+def test_joints_thinner_than_the_blur_tell_no_widths():
+    fit = fitted()
+    assert widths_told(fit)
+    assert not widths_told(replace(fit, strip=replace(fit.strip, blur_px=8.0)))
+
+
+def test_tiles_that_meet_without_a_joint_tell_no_widths():
+    fit = fitted()
+    assert not widths_told(replace(fit, strip=replace(fit.strip, polarity=(0, 0))))
+
+
+def faded(fit: Fit, lines: int) -> Fit:
+    """The fit with all joints along Y but some lines as faint as those that a lit wall hides."""
+    stations = fit.stations
+    along_y = fit.usable & (stations.family == ALONG_Y)
+    kept = np.unique(stations.line[along_y])[:lines]
+    faint = along_y & ~np.isin(stations.line, kept)
+    depth = np.where(faint, 0.05 * fit.offsets.depth, fit.offsets.depth)
+    return replace(fit, offsets=replace(fit.offsets, depth=depth))
+
+
+def test_joints_that_are_hardly_there_are_left_out():
+    fit = fitted()
+    assert np.array_equal(without_washed_out(fit).usable, fit.usable)
+    faint = faded(fit, 5)
+    left = without_washed_out(faint).usable
+    clear = np.abs(faint.offsets.depth) > 0.5 * np.median(np.abs(fit.offsets.depth))
+    assert np.array_equal(left, fit.usable & clear)
+    assert left.sum() < fit.usable.sum()
+
+
+def test_a_family_that_is_faint_as_a_whole_is_kept():
+    few = faded(fitted(), 2)
+    assert np.array_equal(without_washed_out(few).usable, few.usable)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9])
