@@ -28,6 +28,8 @@ WIDEST_PX = 2.0**4.5
 BATCH = 512
 # Offsets that move by less than this have converged.
 STILL_PX = 1e-3
+# Shares of the known width from which both edges of a strip are looked for, and the most steps towards them.
+STARTS, EDGE_STEPS = (0.6, 1.0), 12
 
 
 @dataclass(frozen=True)
@@ -148,14 +150,7 @@ def _fitted(
     iterations: int,
 ) -> tuple[np.ndarray, ...]:
     """Offset, its sigma, depth, step and strength of some profiles."""
-    count = len(profiles.at_px)
-    half = min(int(np.ceil((reach.max() + 0.5) / STEP_PX)) + 1, (count - 1) // 2)
-    first = np.clip(
-        np.rint((start - profiles.at_px[0]) / STEP_PX).astype(int) - half, 0, count - 1 - 2 * half
-    )
-    index = first[:, None] + np.arange(2 * half + 1)
-    at, values = _single(profiles.at_px)[index], profiles.values[rows[:, None], index]
-    weight = np.clip(_single(reach + 0.5)[:, None] - np.abs(at - _single(start)[:, None]), 0.0, 1.0)
+    at, values, weight = _window(profiles, rows, start, reach)
     strip = _Strip(values, weight, _single(width), blur)
     centre = start.copy()
     strip.at(at - _single(centre)[:, None])
@@ -178,6 +173,95 @@ def _fitted(
     # A flat profile, overexposed say, shows no joint.
     strength = 1.0 - (sse + NOISE_FLOOR * samples) / (total + NOISE_FLOOR * samples)
     return centre, np.sqrt(variance / np.maximum(information, 1e-9)), 0.5 * (near - far), near + far, strength
+
+
+def _window(
+    profiles: Profiles, rows: np.ndarray, start: np.ndarray, reach: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places, values and weights of some profiles' samples within reach of where their joints may lie."""
+    count = len(profiles.at_px)
+    half = min(int(np.ceil((reach.max() + 0.5) / STEP_PX)) + 1, (count - 1) // 2)
+    first = np.clip(
+        np.rint((start - profiles.at_px[0]) / STEP_PX).astype(int) - half, 0, count - 1 - 2 * half
+    )
+    index = first[:, None] + np.arange(2 * half + 1)
+    at, values = _single(profiles.at_px)[index], profiles.values[rows[:, None], index]
+    weight = np.clip(_single(reach + 0.5)[:, None] - np.abs(at - _single(start)[:, None]), 0.0, 1.0)
+    return at, values, weight
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Each joint's middle along its station's normal, and its width, where its two edges are told apart.
+
+    Sigmas are infinite where they are not.
+    """
+
+    middle_px: Float[np.ndarray, " n"]
+    width_px: Float[np.ndarray, " n"]
+    sigma_middle_px: Float[np.ndarray, " n"]
+    sigma_width_px: Float[np.ndarray, " n"]
+
+
+def fit_widths(
+    profiles: Profiles, start_px: Float[np.ndarray, " n"], width_px: Float[np.ndarray, " n"], blur: float
+) -> Widths:
+    """Least-squares places of both edges of each strip, from where one of a known width was fitted.
+
+    An edge that is hidden, or looks like its slab, leaves a narrower strip that lies off: two widths are
+    started from.
+    """
+    reach = 0.5 * width_px + 3.0 * blur + 1.5
+    order = np.argsort(reach, kind="stable")
+    columns = np.empty((4, len(order)))
+    for rows in np.array_split(order, max(1, round(len(order) / BATCH))):
+        if len(rows):
+            at, values, weight = _window(profiles, rows, start_px[rows], reach[rows])
+            found = [
+                _both_edges(at, values, weight, start_px[rows], width_px[rows], share, blur)
+                for share in STARTS
+            ]
+            better = found[1][0] < found[0][0]
+            columns[:, rows] = np.where(better, found[1][1:], found[0][1:])
+    return Widths(*columns)
+
+
+def _both_edges(
+    at: np.ndarray,
+    values: np.ndarray,
+    weight: np.ndarray,
+    start: np.ndarray,
+    width: np.ndarray,
+    share: float,
+    blur: float,
+) -> np.ndarray:
+    """Unexplained squares, middle, width and their sigmas, from a share of the known width (Gauss-Newton)."""
+    strip = _Strip(values, weight, _single(share * width), blur)
+    centre, half = start.copy(), 0.5 * share * width
+    variances = np.zeros((2, len(start)))
+    for _ in range(EDGE_STEPS):
+        strip.half = _single(half)[:, None]
+        strip.at(at - _single(centre)[:, None])
+        slopes = strip.slope(), strip.slope_by_half()
+        pulls = [_dot(weight * slope, strip.misfit).astype(float) for slope in slopes]
+        # A little damping keeps steps of hardly visible edges finite.
+        squares = [1.01 * _dot(weight * slope, slope).astype(float) + 1e-6 for slope in slopes]
+        mixed = _dot(weight * slopes[0], slopes[1]).astype(float)
+        variances = np.stack(squares[::-1]) / (squares[0] * squares[1] - mixed**2)
+        pulled = variances * np.stack(pulls)
+        pulled -= mixed / (squares[0] * squares[1] - mixed**2) * np.stack(pulls[::-1])
+        steps = np.clip(pulled, -0.7, 0.7)
+        centre += steps[0]
+        half = np.maximum(half + steps[1], 0.05 * width)
+        if np.abs(steps).max() < STILL_PX:
+            break
+    sse = _dot(weight * strip.misfit, strip.misfit).astype(float)
+    variance = sse / np.maximum(weight.sum(1).astype(float) * INDEPENDENT - 5.0, 1.0) + NOISE_FLOOR
+    sigma_centre, sigma_half = np.sqrt(variance * variances)
+    told = (np.abs(centre - start) < 0.5 * width + 1.0) & (half > 0.1 * width) & (half < 0.9 * width)
+    found = np.stack([sse, centre, 2.0 * half, sigma_centre, 2.0 * sigma_half])
+    untold = np.stack([np.full(len(start), np.inf), start, width, *np.full((2, len(start)), np.inf)])
+    return np.where(told, found, untold)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -216,10 +300,18 @@ class _Strip:
 
     def slope(self) -> np.ndarray:
         """The part of the profiles' slope by the offset that the tones cannot imitate."""
-        slope = (
+        return self._untold(
             _single(self.tones[0])[:, None] * self.near_bell + _single(self.tones[1])[:, None] * self.far_bell
         )
-        slope = self._centred(slope * (np.float32(-1.0 / np.sqrt(2 * np.pi)) / self.blur))
+
+    def slope_by_half(self) -> np.ndarray:
+        """The part of the profiles' slope by half the width that the tones cannot imitate."""
+        return self._untold(
+            _single(self.tones[1])[:, None] * self.far_bell - _single(self.tones[0])[:, None] * self.near_bell
+        )
+
+    def _untold(self, bells: np.ndarray) -> np.ndarray:
+        slope = self._centred(bells * (np.float32(-1.0 / np.sqrt(2 * np.pi)) / self.blur))
         return self._left(slope, self._tones(slope))
 
     def _tones(self, columns: np.ndarray) -> np.ndarray:

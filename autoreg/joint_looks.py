@@ -31,6 +31,8 @@ MOST_NEUTRAL = 0.05
 NO_JOINT_BONUS, NO_JOINT_GAIN = 0.1, 0.01
 # Edges up and down that tell how far bright tiles bloom: so many of either, and such a share of a family's.
 LEAST_KIND, KIND_SHARE = 8, 0.2
+# Grey levels that even the deepest shadow has.
+DARK = 8.0
 # Stations of either family that tell the looks.
 SAMPLE = 90
 

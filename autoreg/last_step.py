@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.corrections import recentred
+from autoreg.measured_joints import widths_told, without_washed_out
 from autoreg.photometric import on_grey_levels
 from autoreg.refine import Fit
 from autoreg.uncertainty import Settled, settle
@@ -24,14 +25,17 @@ def rested(
 ) -> Settled:
     """The fit at its last pose, with that pose's covariance, and the scatter of its slabs.
 
-    The model of irregular slabs knows the turn better, the plain joints the place: the relief of sunk joints
-    that it allows for is hard to tell from a shift of them all. Where the slabs lie so evenly that the
-    picture's grey levels can tell no difference, these tell the pose.
+    The model of irregular slabs knows the turn better, and the place as well where the joints' widths tell
+    how far the relief of sunk joints moves them. Without these a relief is hard to tell from a shift of all
+    joints, and the plain joints know the place better. Where the slabs lie so evenly that the picture's grey
+    levels can tell no difference, these tell the pose.
     """
-    settled = settle(fit)
     if fit.grid.spacing_x is None:
-        return settled
-    settled = replace(settled, fit=recentred(settled.fit))
+        return settle(fit)
+    fit = without_washed_out(fit)
+    settled = settle(fit)
+    if not widths_told(fit):
+        settled = replace(settled, fit=recentred(settled.fit))
     if settled.scatter.place * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
         return settled
     exact = on_grey_levels(picture, settled.fit, settled.covariance, reach, field)

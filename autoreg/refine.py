@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
-from autoreg.edges import Offsets, fit_offsets
+from autoreg.edges import Offsets, Widths, fit_offsets, fit_widths
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
 from autoreg.joint_looks import (
+    DARK,
     Strip,
     bloom_px,
     estimate_strip,
@@ -48,8 +50,6 @@ SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 UNKNOWN_HALF_PX = 16.0
 # A motion by less than this share of the joints' median distance from their lines does not matter.
 STILL_SHARE = 0.02
-# Grey levels that even the deepest shadow has.
-DARK = 8.0
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,12 @@ class Fit:
     def weight(self) -> Float[np.ndarray, " n"]:
         """Cauchy weight of each station; zero for one whose joint could not be measured."""
         return self.usable / (1.0 + (self.distances_px / (CAUCHY_SIGMAS * self.sigma_px)) ** 2)
+
+    @cached_property
+    def widths(self) -> Widths:
+        """Middle and width of each joint by its own two edges."""
+        expected = width_px_of(self.strip, self.stations, self.profiles)
+        return fit_widths(self.profiles, self.offsets.offset_px, expected, self.strip.blur_px)
 
 
 def refine(

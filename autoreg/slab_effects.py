@@ -1,4 +1,4 @@
-"""How far irregular slabs, relief, bright tiles and bent ground move each station across its joint.
+"""How irregular slabs, relief, bright tiles and bent ground change the joints' measured middles and widths.
 
 These are the columns of the mixed model's random effects, in pixels, each for a size of one.
 """
@@ -9,19 +9,25 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_matrix
 
-from autoreg.refine import Fit
+from autoreg.measured_joints import MeasuredJoints
 from autoreg.stations import ALONG_X, ALONG_Y
 
 # Slope across the joint (ground distance over camera height) at which the relief stops growing.
 KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
+# Shift of a joint's far edge by a shadow on the bed, against that by a lit wall, and the near edge's against
+# the far one's.
+FAR_SHADE, NEAR_SHADE = 0.4, 0.2
+# What is not known of the joints' full width, as a share of it, and what a wrong blur adds to it.
+WIDTH_SIGMA, BLUR_PX = 0.1, 0.15
 
 
-def slab_effects(
-    fit: Fit, rows: np.ndarray, a: float, b: float, side: float
-) -> tuple[csr_matrix, csr_matrix, csr_matrix]:
-    """Pixels that each station moves per unit of its two slabs' places, heights, and turns times a side."""
-    stations, n = fit.stations.take(rows), len(rows)
-    k = 0.5 * fit.profiles.px_per_unit[rows]
+def slab_effects(joints: MeasuredJoints, a: float, b: float, side: float) -> tuple[csr_matrix, ...]:
+    """Pixels by which its two slabs change each measurement, per unit of their places, heights and turns.
+
+    Every slab moves its own edge of the joint. Turns are in units of one over `side`.
+    """
+    fit, wide, n = joints.fit, joints.wide, len(joints.rows)
+    stations = fit.stations.take(joints.rows)
     along_x = stations.family == ALONG_X
     keys, lever = [], []
     for beyond in (0, 1):
@@ -31,62 +37,91 @@ def slab_effects(
         middle = np.stack([(column + 0.5 + row * fit.grid.shift) * a, (row + 0.5) * b], 1)
         away = stations.ground - middle
         # A positive turn moves a slab's sides along X by +x, those along Y by -y.
-        lever.append(k * np.where(along_x, away[:, 0], -away[:, 1]))
+        lever.append(np.where(along_x, away[:, 0], -away[:, 1]) / side)
         keys.append(np.stack([row, column], 1))
     names, slab = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
-    both, axis = np.tile(np.arange(n), 2), np.tile(stations.family, 2)
-    slope = _slope(fit, rows)
+    slab = slab.reshape(2, n)
+    row = np.concatenate([np.tile(np.arange(n), 2), np.tile(n + np.arange(len(wide)), 2)])
 
     def effect(value: np.ndarray, column: np.ndarray, count: int) -> csr_matrix:
-        return csr_matrix((value, (both, column)), shape=(n, count))
+        moves = value * joints.px_per_unit
+        data = np.concatenate([0.5 * moves.ravel(), -moves[0, wide], moves[1, wide]])
+        columns = np.concatenate([column.ravel(), column[:, wide].ravel()])
+        return csr_matrix((data, (row, columns)), shape=(n + len(wide), count))
 
+    ones = np.ones((2, n))
     return (
-        effect(np.tile(k, 2), 2 * slab + axis, 2 * len(names)),
-        effect(np.tile(k * slope, 2), slab, len(names)),
-        effect(np.concatenate(lever) / side, slab, len(names)),
+        effect(ones, 2 * slab + stations.family, 2 * len(names)),
+        effect(ones * _slope(joints), slab, len(names)),
+        effect(np.stack(lever), slab, len(names)),
     )
 
 
-def _slope(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, " n"]:
+def _slope(joints: MeasuredJoints) -> Float[np.ndarray, " n"]:
     """How far a unit of height moves each station across its joint, seen from the camera."""
-    eye = fit.cam_from_ground.origin_in_a
-    away = fit.stations.ground[rows] - eye[:2]
-    return np.where(fit.stations.family[rows] == ALONG_X, away[:, 1], away[:, 0]) / eye[2]
+    stations, eye = joints.fit.stations, joints.fit.cam_from_ground.origin_in_a
+    away = stations.ground[joints.rows] - eye[:2]
+    return np.where(stations.family[joints.rows] == ALONG_X, away[:, 1], away[:, 0]) / eye[2]
 
 
-def relief_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n r"]:
-    """Pixels that each station moves by the relief, for joint walls of the four directions.
+def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
+    """Pixels by which the relief changes each measurement, for a shift of the far edge by about a width.
 
-    A wall's light is the same all over the photo, so that each direction has one shift, which grows with
-    the slope of the view until the bed is hidden. A shadow on the bed moves a family even from above.
+    A wall's light is the same all over the photo, so that each of the four directions has one shift of the
+    far edge, which grows with the slope of the view until the bed is hidden. A shadow on the bed moves an
+    edge even from above: a far one more, since of the bed beside a near one little is seen.
     """
-    slope, family = _slope(fit, rows), fit.stations.family[rows]
-    half = 0.5 * float(np.mean(fit.strip.width)) * fit.profiles.px_per_unit[rows]
-    columns: list[np.ndarray] = []
+    slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
+    steep, facing = np.abs(slope), np.where(slope < 0, -1.0, 1.0)
+    full = _full_width_px(joints)
+    fading = [FAR_SHADE * np.ones_like(slope)]
+    fading += [0.7 * FAR_SHADE * np.maximum(0.0, 1.0 - steep / knee) for knee in (0.8, 2.0)]
+    walls = [np.minimum(steep / knee, 1.0) / np.sqrt(len(KNEES)) for knee in KNEES]
+    far, near = [], []
     for own in (ALONG_X, ALONG_Y):
-        for facing in (-1.0, 1.0):
-            seen = half * facing * ((family == own) & (np.sign(slope) == facing))
-            columns += [seen * np.minimum(np.abs(slope) / knee, 1.0) / np.sqrt(len(KNEES)) for knee in KNEES]
-        shaded = half * (family == own)
-        columns.append(0.7 * shaded)
-        columns += [0.5 * shaded * np.maximum(0.0, 1.0 - np.abs(slope) / knee) for knee in (0.8, 2.0)]
+        for way in (-1.0, 1.0):
+            mine = full * (family == own)
+            there = facing == way
+            far += [mine * there * shift for shift in (*walls, *fading)]
+            # The edge on one side of a joint is the far one for some stations, the near one for others.
+            near += [np.zeros_like(slope)] * len(walls) + [mine * ~there * NEAR_SHADE * f for f in fading]
+    beyond, before = np.stack(far, 1), np.stack(near, 1)
+    width = facing[joints.wide, None] * (beyond - before)[joints.wide]
     # The same covariance in fewer columns.
-    U, size, _ = np.linalg.svd(np.stack(columns, 1), full_matrices=False)
+    U, size, _ = np.linalg.svd(np.concatenate([0.5 * (beyond + before), width]), full_matrices=False)
     return (U * size)[:, size > 0.01 * size[0]]
 
 
-def bow_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n 3"]:
+def _full_width_px(joints: MeasuredJoints) -> Float[np.ndarray, " n"]:
+    """Width of the joints in the picture, as the widest show it, or else as a strip fits them all."""
+    return (joints.width or float(np.mean(joints.fit.strip.width))) * joints.px_per_unit
+
+
+def width_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
+    """Pixels by which the widths are off for all joints alike, and for those of one family.
+
+    A blur taken for another adds to all widths of a family alike.
+    """
+    own = joints.fit.stations.family[joints.rows][joints.wide]
+    width, way = _full_width_px(joints)[joints.wide], np.where(own == ALONG_X, 1.0, -1.0)
+    columns = [WIDTH_SIGMA * width, WIDTH_SIGMA * way * width, BLUR_PX * (way > 0), BLUR_PX * (way < 0)]
+    return np.concatenate([np.zeros((len(joints.rows), len(columns))), np.stack(columns, 1)])
+
+
+def bow_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 3"]:
     """Pixels that each station moves where the ground is bent along X, along Y, or twisted, by its extent."""
-    ground = fit.stations.ground[rows]
+    ground = joints.fit.stations.ground[joints.rows]
     low, high = ground.min(0), ground.max(0)
     extent = float(np.max(high - low))
     x, y = ((2 * ground - low - high) / extent).T
-    rise = extent * fit.profiles.px_per_unit[rows] * _slope(fit, rows)
-    return rise[:, None] * np.stack([x * x, y * y, x * y], 1)
+    rise = extent * joints.px_per_unit * _slope(joints)
+    return joints.middles_only(rise[:, None] * np.stack([x * x, y * y, x * y], 1))
 
 
-def bloom_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n r"]:
+def bloom_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """Pixels that each station moves where bright tiles look larger by one, for families without joints."""
+    fit, rows = joints.fit, joints.rows
     up, family = np.sign(fit.offsets.step[rows]), fit.stations.family[rows]
     bare = [own for own in (ALONG_X, ALONG_Y) if fit.strip.polarity[own] == 0]
-    return (up * (family == np.array(bare)[:, None])).T if bare else np.zeros((len(rows), 0))
+    moved = (up * (family == np.array(bare)[:, None])).T if bare else np.zeros((len(rows), 0))
+    return joints.middles_only(moved)

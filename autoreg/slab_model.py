@@ -5,7 +5,8 @@ The places of neighbouring joints are no independent measurements. Each joint li
     J dp + place + lift + turn of the slabs on either side + relief + bloom + noise,
 
 where every slab's place, height and turn are random, and the relief is the shift of a joint seen aslant: a
-lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. Bright
+lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. Where
+both edges of a joint are told apart, its width is a second measurement, off by all of these but J dp. Bright
 tiles that meet dark ones without a joint bloom: every edge is moved towards the dark one. This is a linear
 mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the sizes of the random
 effects come from the photo's own residuals by restricted maximum likelihood, and the pose by generalised
@@ -23,9 +24,10 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import diags, hstack, identity
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from autoreg.measured_joints import measured_joints
 from autoreg.refine import Fit
 from autoreg.residuals import PARAMETERS
-from autoreg.slab_effects import bloom_effects, bow_effects, relief_effects, slab_effects
+from autoreg.slab_effects import bloom_effects, bow_effects, relief_effects, slab_effects, width_effects
 from autoreg.solver import CAUCHY_SIGMAS, Prior
 
 # Sizes of the relief that are weighed against each other, as shares of half the joint's width. It cannot be
@@ -36,8 +38,6 @@ WIDE_SEARCHES = (((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5)), ((0.75, 1
 NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), ()),)
 # Factors of the likeliest place's size over which the answer is averaged.
 LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
-# A slab side's place is not known better than this, whatever its profiles say: texture, interpolation, JPEG.
-SIDE_FLOOR_PX = 0.01
 # Joints in relief scatter beyond the model (shadows within them, other shapes of the relief): the variance is
 # this much larger where there is a relief, as measured on ray-traced pavings.
 MISFIT = 2.0
@@ -80,6 +80,7 @@ def estimate_motion(
     near: Scatter | None = None,
     *,
     bow: float = 0.0,
+    widths: bool = True,
 ) -> Estimate:
     """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
 
@@ -89,10 +90,11 @@ def estimate_motion(
         prior: what is known of them, counted from the fit.
         near: the scatter of an earlier estimate of this photo, near which to search instead of everywhere.
         bow: how far from a plane the ground may be bent, as a share of its extent (standard deviation).
+        widths: whether the joints' widths have a say.
     """
     rows = np.flatnonzero(fit.usable)
-    sizes, relief = _likeliest_sizes(_Model(fit, mask, prior, bow, _in_blocks(fit, rows)), near)
-    model = _Model(fit, mask, prior, bow, rows)
+    sizes, relief = _likeliest_sizes(_Model(fit, mask, prior, bow, _in_blocks(fit, rows), widths), near)
+    model = _Model(fit, mask, prior, bow, rows, widths)
     for _ in range(2):
         model.reweigh(sizes, relief)
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
@@ -137,7 +139,9 @@ def _likeliest_sizes(model: _Model, near: Scatter | None) -> tuple[_Sizes, float
     turn over a few values, the relief with every one.
     """
     if near is None:
-        ground = 1.48 * float(np.median(np.abs(model.off) / model.px_per_unit)) + 1e-12
+        joints = model.joints
+        off_px = np.abs(joints.off_px[: len(joints.rows)])
+        ground = 1.48 * float(np.median(off_px / joints.px_per_unit)) + 1e-12
         best, relief, searches = (ground, 0.33, 0.25), 0.5, WIDE_SEARCHES
     else:
         lift, turn = near.lift / near.place, near.turn * model.side / near.place
@@ -176,19 +180,19 @@ class _Model:
         prior: Prior,
         bow: float,
         rows: Int[np.ndarray, " n"],
+        widths: bool,
     ) -> None:
-        self.free, self.rows = np.flatnonzero(mask), rows
-        J = fit.solution.jacobian[np.ix_(self.rows, self.free)]
+        self.free = np.flatnonzero(mask)
+        self.joints = joints = measured_joints(fit, rows, widths=widths)
+        # The widths know nothing of the pose, but what makes them differ moves the middles as well.
+        J = joints.middles_only(fit.solution.jacobian[np.ix_(rows, self.free)])
         # Columns of unit length keep the normal equations well scaled.
         self.unit = 1.0 / np.maximum(np.linalg.norm(J, axis=0), 1e-12)
-        self.off = fit.distances_px[self.rows]
         self.known = (self.unit / prior.sigma[self.free]) ** 2
         self.prior_mean = prior.mean[self.free] / self.unit
-        self.px_per_unit = fit.profiles.px_per_unit[self.rows]
-        self.noise = _own_noise(fit, self.rows)
         a, b = fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y
         self.side = float(np.sqrt(a * b))
-        effects = slab_effects(fit, self.rows, a, b, self.side)
+        effects = slab_effects(joints, a, b, self.side)
         Z: Any = hstack(effects).tocsc()
         # Neighbouring slabs next to each other: only they share a joint, and so the products form a band.
         order = reverse_cuthill_mckee((Z.T @ Z).tocsr(), symmetric_mode=True)
@@ -196,18 +200,19 @@ class _Model:
         # Which of the three sizes each column of Z is scaled by.
         self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
-        relief, bent = relief_effects(fit, self.rows), bow * bow_effects(fit, self.rows)
-        bloom = BLOOM_PX * bloom_effects(fit, self.rows)
+        relief = relief_effects(joints)
+        others = width_effects(joints), bow * bow_effects(joints), BLOOM_PX * bloom_effects(joints)
         # Which of these columns are scaled by the size of the relief.
-        counts = [effect.shape[1] for effect in (relief, bent, bloom)]
-        self.relief = np.repeat([True, False, False], counts)
-        self.columns = np.c_[J * self.unit, relief, bent, bloom, self.off]
-        self.weight = 1.0 / (1.0 + (self.off / (CAUCHY_SIGMAS * fit.sigma_px[self.rows])) ** 2)
+        self.relief = np.repeat([True, False], [relief.shape[1], sum(effect.shape[1] for effect in others)])
+        self.columns = np.c_[J * self.unit, relief, *others, joints.off_px]
+        narrower = np.abs(joints.off_px[len(rows) :])
+        usual = np.r_[fit.sigma_px[rows], np.full(len(narrower), 1.48 * _median(narrower))]
+        self.weight = 1.0 / (1.0 + (joints.off_px / (CAUCHY_SIGMAS * usual)) ** 2)
         self._weigh()
 
     def _weigh(self) -> None:
         """The products with the inverse of D that every size needs, for the weights as they are."""
-        self.D = self.noise**2 / self.weight
+        self.D = self.joints.noise_px**2 / self.weight
         ZD = (self.Z.T @ diags(1.0 / self.D)).tocsr()
         inner = (ZD @ self.Z + identity(ZD.shape[0])).tocoo()
         below = inner.row >= inner.col
@@ -272,21 +277,12 @@ class _Model:
         own = self.D * self._whitened(left)
         # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
         place, lift, turn = sizes
-        variance = self.noise**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
+        variance = self.joints.noise_px**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
         deviation = np.abs(left) / np.sqrt(variance)
         gross = deviation > GROSS_SIGMAS * max(1.48 * float(np.median(deviation)), 1e-6)
         self.weight = np.where(gross, 1e-6, 1.0 / (1.0 + own**2 / (CAUCHY_SIGMAS**2 * self.D * self.weight)))
         self._weigh()
 
 
-def _own_noise(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, " n"]:
-    """Scatter of single stations: their profiles' claim, scaled to how neighbours on one side differ."""
-    claim = fit.offsets.sigma_px[rows]
-    claim = np.maximum(claim, 0.3 * float(np.median(claim)))
-    side = fit.stations.side[rows]
-    pair = np.flatnonzero(side[1:] == side[:-1])
-    if len(pair) >= 10:
-        step = np.abs(np.diff(fit.distances_px[rows]))[pair] / np.hypot(claim[pair], claim[pair + 1])
-        claim = claim * 1.48 * float(np.median(step))
-    # The floor holds for a side as a whole, however many stations it has.
-    return np.hypot(claim, SIDE_FLOOR_PX * np.sqrt(np.bincount(side)[side]))
+def _median(values: Float[np.ndarray, " n"]) -> float:
+    return float(np.median(values)) + 1e-6 if len(values) else 1.0

@@ -101,13 +101,16 @@ def check_camera(
         scatter: of the slabs, as the fit's pose alone has it.
     """
     free = _free_camera(fit)
-    both = estimate_motion(fit, free.mask, free.prior(fit.camera), scatter, bow=BOW)
+    # Joints that lie off since the camera is wrong lie off with both edges: widths would be misread.
+    both = estimate_motion(fit, free.mask, free.prior(fit.camera), scatter, bow=BOW, widths=False)
     chi_square, shift = _contradiction(fit, fit, both)
     uneven = both.scatter.place > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
     if picture is not None and (uneven or chi_square > DOUBT):
         given, before = fit, both.scatter.place
         for freed in _fits_with_free_camera(given, picture, field):
-            motion = estimate_motion(freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW)
+            motion = estimate_motion(
+                freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW, widths=False
+            )
             # A free camera that does not make the slabs evener has found nothing better.
             if motion.scatter.place < EVENER * both.scatter.place:
                 chi_square, shift = _contradiction(given, freed, motion)

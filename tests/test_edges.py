@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from autoreg.camera import Camera
-from autoreg.edges import fit_offsets, search_offsets, strip_misfits, strip_support
+from autoreg.edges import fit_offsets, fit_widths, search_offsets, strip_misfits, strip_support
 from autoreg.profiles import STEP_PX, Profiles, sample_profiles
 from autoreg.stations import ALONG_X, ALONG_Y, Stations
 from autoreg.synthetic import look_at_ground
@@ -78,6 +78,46 @@ def test_a_wrong_width_does_not_move_the_centre_of_a_joint_between_like_slabs(gu
     # Its window was centred on the start; centred on the joint it sees both slabs alike.
     second = fit_offsets(profiles, first.offset_px, each(3.0 * guess, profiles), 0.9, iterations=12)
     assert second.offset_px[0] == pytest.approx(0.6, abs=0.002)
+
+
+@given(
+    st.floats(-0.75, 0.75),
+    st.floats(2.5, 7.0),
+    st.floats(0.6, 1.0),
+    st.floats(0.7, 1.4),
+    st.floats(-30.0, 30.0),
+)
+@settings(deadline=None, derandomize=True, max_examples=40)
+def test_both_edges_of_a_joint_are_found_whatever_width_was_expected(
+    offset: float, width: float, blur: float, guess: float, step: float
+):
+    profiles = profiles_of(strip_values(offset, width, blur, far=150.0 + step))
+    found = fit_widths(profiles, np.zeros(1), each(width * guess, profiles), blur)
+    assert found.middle_px[0] == pytest.approx(offset, abs=0.03)
+    assert found.width_px[0] == pytest.approx(width, abs=0.06)
+
+
+def test_a_joint_whose_far_edge_is_missing_is_narrower_and_nearer_by_half_of_that():
+    whole, part = strip_values(0.0, 6.0, 0.7), strip_values(-1.2, 3.6, 0.7)
+    found = fit_widths(profiles_of(whole, part), np.zeros(2), np.full(2, 5.0), 0.7)
+    assert np.diff(found.width_px)[0] == pytest.approx(-2.4, abs=0.05)
+    assert np.diff(found.middle_px)[0] == pytest.approx(-1.2, abs=0.05)
+
+
+def test_the_stated_spread_of_edges_is_that_of_noise():
+    rng = np.random.default_rng(4)
+    # Neighbouring samples of a profile are a quarter of a pixel apart, and not independent.
+    noise = gaussian_filter(rng.normal(0.0, 12.0, (400, len(AT))), (0.0, 0.6 / STEP_PX))
+    profiles = profiles_of(*(strip_values(0.3, 5.0, 0.8) + noise))
+    found = fit_widths(profiles, np.zeros(400), np.full(400, 5.0), 0.8)
+    for value, sigma in ((found.middle_px, found.sigma_middle_px), (found.width_px, found.sigma_width_px)):
+        assert np.std(value) == pytest.approx(np.median(sigma), rel=0.35)
+
+
+def test_edges_of_a_flat_profile_are_told_to_be_unknown():
+    found = fit_widths(profiles_of(np.full(len(AT), 120.0)), np.zeros(1), np.full(1, 4.0), 0.8)
+    assert found.sigma_middle_px[0] > 5.0
+    assert found.sigma_width_px[0] > 5.0
 
 
 def test_dark_and_light_joints_differ_in_the_sign_of_their_depth():

@@ -1,0 +1,144 @@
+"""Joints tell where their middles lie and how wide they look; both together tell what relief does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from autoreg.camera import Camera
+from autoreg.corrections import recentred
+from autoreg.edges import Widths
+from autoreg.freedom import Free
+from autoreg.geometry import vector_from_rotation
+from autoreg.image import as_gray
+from autoreg.joint_looks import width_px_of
+from autoreg.measured_joints import measured_joints, widths_told, without_washed_out
+from autoreg.refine import Fit, refine_until_still
+from autoreg.stations import ALONG_Y, Grid, project_ground
+from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
+from autoreg.uncertainty import settle
+
+SCENE = SyntheticScene(
+    camera=Camera.from_focal(1200, 900, 1300.0),
+    cam_from_ground=look_at_ground(pitch_deg=50.0, height_m=1.6, heading_deg=33.0, foot_m=(0.13, 0.21)),
+    spacing_m=(0.4, 0.4),
+    joint_width_m=0.012,
+    colour=False,
+    jitter_m=0.0005,
+)
+
+
+@cache
+def fitted(width: int = 1200, joint_width_m: float = 0.012) -> Fit:
+    camera = SCENE.camera.scaled(width, width * 3 // 4)
+    photo = render_paving(replace(SCENE, camera=camera, joint_width_m=joint_width_m))
+    fit = refine_until_still(
+        as_gray(photo.pixels).astype(np.float32), camera, SCENE.cam_from_ground, Grid(0.4, 0.4),
+        free=Free(), search=0.08, reach=12.0,
+    )  # fmt: skip
+    assert fit is not None
+    return fit
+
+
+def with_lit_walls(fit: Fit, share: float) -> Fit:
+    """The fit as it would be measured if far edges of joints along Y were seen nearer, as lit walls are."""
+    stations, widths = fit.stations, fit.widths
+    away = stations.ground[:, 0] - fit.cam_from_ground.origin_in_a[0]
+    steep = np.abs(away) / fit.cam_from_ground.origin_in_a[2]
+    expected = width_px_of(fit.strip, stations, fit.profiles)
+    nearer = share * expected * np.minimum(steep / 1.0, 1.0) * (stations.family == ALONG_Y)
+    moved = -0.5 * np.sign(away) * nearer
+    lit = replace(
+        fit,
+        offsets=replace(fit.offsets, offset_px=fit.offsets.offset_px + moved),
+        # Distances are counted from the measured place to the projected one.
+        distances_px=fit.distances_px - moved,
+    )
+    seen = Widths(
+        widths.middle_px + moved, widths.width_px - nearer, widths.sigma_middle_px, widths.sigma_width_px
+    )
+    lit.__dict__["widths"] = seen
+    return lit
+
+
+def withheld(fit: Fit) -> Fit:
+    """The fit without what its widths tell."""
+    blind = replace(fit)
+    unknown = np.full(len(fit.stations), np.inf)
+    blind.__dict__["widths"] = replace(fit.widths, sigma_middle_px=unknown, sigma_width_px=unknown)
+    return blind
+
+
+def joints_moved_px(fit: Fit, other: Fit) -> float:
+    """How far the joints of two fits lie apart in the picture (RMS)."""
+    ground, normal = fit.stations.ground[fit.usable], fit.profiles.normal[fit.usable]
+    a, b = (project_ground(f.camera, f.cam_from_ground, ground) for f in (fit, other))
+    return float(np.sqrt(np.mean(((a - b) * normal).sum(1) ** 2)))
+
+
+def test_measured_widths_are_those_of_the_drawn_joints():
+    fit = fitted()
+    joints = measured_joints(fit, np.flatnonzero(fit.usable))
+    assert len(joints.wide) > 0.5 * len(joints.rows)
+    assert joints.width == pytest.approx(0.012, rel=0.1)
+    assert len(joints.off_px) == len(joints.noise_px) == len(joints.rows) + len(joints.wide)
+
+
+def test_joints_thinner_than_the_blur_tell_no_widths():
+    fit = fitted()
+    assert widths_told(fit)
+    assert not widths_told(replace(fit, strip=replace(fit.strip, blur_px=8.0)))
+
+
+def test_tiles_that_meet_without_a_joint_tell_no_widths():
+    fit = fitted()
+    assert not widths_told(replace(fit, strip=replace(fit.strip, polarity=(0, 0))))
+
+
+def faded(fit: Fit, lines: int) -> Fit:
+    """The fit with all joints along Y but some lines as faint as those that a lit wall hides."""
+    stations = fit.stations
+    along_y = fit.usable & (stations.family == ALONG_Y)
+    kept = np.unique(stations.line[along_y])[:lines]
+    faint = along_y & ~np.isin(stations.line, kept)
+    depth = np.where(faint, 0.05 * fit.offsets.depth, fit.offsets.depth)
+    return replace(fit, offsets=replace(fit.offsets, depth=depth))
+
+
+def test_joints_that_are_hardly_there_are_left_out():
+    fit = fitted()
+    assert np.array_equal(without_washed_out(fit).usable, fit.usable)
+    faint = faded(fit, 5)
+    left = without_washed_out(faint).usable
+    clear = np.abs(faint.offsets.depth) > 0.5 * np.median(np.abs(fit.offsets.depth))
+    assert np.array_equal(left, fit.usable & clear)
+    assert left.sum() < fit.usable.sum()
+
+
+def test_a_family_that_is_faint_as_a_whole_is_kept():
+    few = faded(fitted(), 2)
+    assert np.array_equal(without_washed_out(few).usable, few.usable)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_lit_walls_that_the_widths_tell_hardly_move_the_pose(share: float):
+    fit = fitted()
+    lit, plain = with_lit_walls(fit, share), settle(fit).fit
+    # Without a model of relief, joints are moved by about half of what is missing of them.
+    unaware = recentred(lit)
+    moved_px = joints_moved_px(settle(lit).fit, plain)
+    assert moved_px < 0.4 * joints_moved_px(unaware, plain)
+    assert moved_px < 0.6 * joints_moved_px(settle(withheld(lit)).fit, plain)
+
+
+def test_lit_walls_leave_the_stated_covariance_true():
+    plain, lit = settle(fitted()), settle(with_lit_walls(fitted(), 0.5))
+    away = np.r_[
+        vector_from_rotation(lit.fit.cam_from_ground.R @ plain.fit.cam_from_ground.R.T),
+        lit.fit.cam_from_ground.t - plain.fit.cam_from_ground.t,
+    ]
+    # Chi-square of 6 degrees of freedom: 99.9 % lie below 22.5.
+    assert away @ np.linalg.solve(lit.covariance, away) < 22.5
