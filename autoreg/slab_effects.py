@@ -6,7 +6,7 @@ These are the columns of the mixed model's random effects, in pixels, each for a
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 
 from autoreg.refine import Fit
@@ -14,6 +14,8 @@ from autoreg.stations import ALONG_X, ALONG_Y
 
 # Slope across the joint (ground distance over camera height) at which the relief stops growing.
 KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
+# A slab side's place is not known better than this, whatever its profiles say: texture, interpolation, JPEG.
+SIDE_FLOOR_PX = 0.01
 
 
 def slab_effects(
@@ -90,3 +92,24 @@ def bloom_effects(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, "n r"]:
     up, family = np.sign(fit.offsets.step[rows]), fit.stations.family[rows]
     bare = [own for own in (ALONG_X, ALONG_Y) if fit.strip.polarity[own] == 0]
     return (up * (family == np.array(bare)[:, None])).T if bare else np.zeros((len(rows), 0))
+
+
+def shared_by(fit: Fit, rows: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " n"], ...]:
+    """Numbers of what stations have in common: the line, and the field of one slab's size."""
+    stations = fit.stations.take(rows)
+    line = np.stack([stations.family, stations.line], 1)
+    cell = np.floor(stations.ground / [fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y])
+    return tuple(np.unique(key, axis=0, return_inverse=True)[1].ravel() for key in (line, cell))
+
+
+def own_noise(fit: Fit, rows: np.ndarray) -> Float[np.ndarray, " n"]:
+    """Scatter of single stations: their profiles' claim, scaled to how neighbours on one side differ."""
+    claim = fit.offsets.sigma_px[rows]
+    claim = np.maximum(claim, 0.3 * float(np.median(claim)))
+    side = fit.stations.side[rows]
+    pair = np.flatnonzero(side[1:] == side[:-1])
+    if len(pair) >= 10:
+        step = np.abs(np.diff(fit.distances_px[rows]))[pair] / np.hypot(claim[pair], claim[pair + 1])
+        claim = claim * 1.48 * float(np.median(step))
+    # The floor holds for a side as a whole, however many stations it has.
+    return np.hypot(claim, SIDE_FLOOR_PX * np.sqrt(np.bincount(side)[side]))
