@@ -66,7 +66,8 @@ def read_exif(data: bytes) -> Exif:
                 exif.load(block)
             elif not data.startswith((b"\xff\xd8", b"\x89PNG")):
                 exif = Image.open(io.BytesIO(data)).getexif()
-            details = exif.get_ifd(_EXIF_IFD)
+            # Some programs that rewrite a file put entries of the camera's directory into the main one.
+            details = {**exif, **exif.get_ifd(_EXIF_IFD)}
             orientation = exif.get(_ORIENTATION)
             maker, model = (_words(exif.get(tag)) for tag in (_MAKER, _MODEL))
     except Exception:

@@ -21,6 +21,8 @@ from autoreg.stations import Grid
 
 # Correlations nearer to one are edges that run along each other.
 MOST_CORRELATED = 0.999
+# Chamfers are looked for in strips of this width beside the joints.
+STRIP_BLURS = 1.5
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
@@ -152,20 +154,56 @@ class JointImage:
                 looks[rows, 2] += step * edges.by_blur[side]
         return Slopes(ground, looks)
 
+    def lopsided(self) -> Float[np.ndarray, "n 4"]:
+        """Pixels' change by one grey level more beyond a joint's middle than before it.
+
+        In the joint itself (a shadow on its bed), then within so many blurs outside of it (chamfers, one in
+        the light); of the joints along X and of those along Y. At crossings as far as the other joint leaves.
+        """
+        at, x, y = self.parts
+        column = np.zeros((len(self.pixels), 4))
+        for family, rows, edges in ((0, x, self.lines), (1, y, self.columns)):
+            column[rows, family], column[rows, family + 2] = _lopsided(edges)
+        for family, own, other in ((0, self.at_line, self.at_column), (1, self.at_column, self.at_line)):
+            clear = other.share[0] + other.share[1]
+            column[at, family], column[at, family + 2] = (clear * part for part in _lopsided(own))
+        return column
+
+    def _by_plane(self, slopes: Slopes) -> Float[np.ndarray, "n 3"]:
+        """Derivatives by a shift of the ground on the camera's side, each pixel's own."""
+        R, rows, g = self.shape.pose.R, self.view.rows, slopes.by_ground
+        return ((g * rows[:, :2]).sum(1) / rows[:, 2])[:, None] * R[:, 2] - g @ R[:, :2].T
+
+    def by_lens(self, slopes: Slopes) -> Float[np.ndarray, "n 3"]:
+        """Derivatives by the first radial coefficient, and by pixels that the picture is moved.
+
+        The pixel's ray turns, the ground stays.
+        """
+        rays, per_px = self.pixels.rays, self.pixels.per_px
+        seen = self._by_plane(slopes)[:, :2] / self.view.depth[:, None]
+        wider = (seen * rays[:, :2]).sum(1) * (rays[:, :2] ** 2).sum(1)
+        return np.column_stack([wider, seen * np.stack([per_px[:, 0, 0], per_px[:, 1, 1]], 1)])
+
     def by_pose(self, slopes: Slopes) -> Float[np.ndarray, "n 7"]:
         """Derivatives by a turn and a shift on the camera's side, R = exp(w) R0, t = t0 + dt, and the ratio.
 
         A pixel's ray stays while the ground moves under it: dx_k = e_k . (w x (P - t) + dt), where P is the
         point seen, and e_k = (d_k / d_n) n - r_k with the ray's components d.
         """
-        R = self.shape.pose.R
-        rows, g = self.view.rows, slopes.by_ground
-        e = ((g * rows[:, :2]).sum(1) / rows[:, 2])[:, None] * R[:, 2] - g @ R[:, :2].T
+        g, e = slopes.by_ground, self._by_plane(slopes)
         from_origin = self.pixels.rays / self.view.depth[:, None] - self.shape.pose.t
         # Stretching the lattice along X moves pixels back along X in it.
         ratio = 0.5 * (self.view.ground * g) @ np.array([-1.0, 1.0])
         (x, y, z), (a, b, c) = from_origin.T, e.T
         return np.stack([y * c - z * b, z * a - x * c, x * b - y * a, a, b, c, ratio], 1)
+
+
+def _lopsided(edges: _Edges) -> tuple[np.ndarray, np.ndarray]:
+    """Share of the joint's far half less that of its near one, and the same of the strips beside it."""
+    far, near = edges.z
+    inside = 2.0 * ndtr(0.5 * (far - near)) - 1.0 - edges.share[0] + edges.share[1]
+    strips = [share - ndtr(z - STRIP_BLURS) for share, z in zip(edges.share, edges.z, strict=True)]
+    return inside, strips[0] - strips[1]
 
 
 def _beyond_product(

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
@@ -26,6 +26,8 @@ TONES, JOINT = 5, 4
 STRAIGHT_PX = 32.0
 # The picture's outermost pixels know nothing of what is blurred into them from outside.
 BORDER_PX = 3
+# Rows of a picture that are looked through at a time.
+ROWS = 256
 # A plane's most even sequence (Roberts' R2): every part of it covers the picture evenly.
 R2 = (0.7548776662466927, 0.5698402909980532)
 
@@ -76,7 +78,7 @@ class JointPixels:
 
     `line` is the nearest joint along X; `column` is the nearest joint along Y of the row beyond it, `before`
     of the row before it, and `own` of the row that the pixel is in. `block` numbers pieces of joint, `cell`
-    crossings with all that is nearest to them.
+    crossings with all that is nearest to them; `places` is where those are, in slabs along X and Y.
     """
 
     grey: Float[np.ndarray, " n"]
@@ -91,7 +93,12 @@ class JointPixels:
     cell: Int[np.ndarray, " n"]
     counts: tuple[int, int, int]
     blocks: int
-    cells: int
+    places: Float[np.ndarray, "c 2"]
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return len(self.places)
 
     def __len__(self) -> int:
         """Number of pixels."""
@@ -116,7 +123,7 @@ class JointPixels:
             self.cell[index],
             (len(rows[0]), len(rows[1]), len(rows[2])),
             self.blocks,
-            self.cells,
+            self.places,
         )
 
 
@@ -134,9 +141,7 @@ def joint_pixels(
 
     `width` is that of joints along X and along Y on the ground. The lattice must have both.
     """
-    at = _near_joints(picture.shape, camera, pose, sides, width, blur_px)
-    if len(at) > most:
-        at = at[np.mod(at @ np.array(R2), 1.0) < most / len(at)]
+    at = thinned(_near_joints(picture.shape, camera, pose, sides, width, blur_px), most)
     rays = camera.unproject(at.astype(float))
     seen = np.isfinite(rays).all(1)
     at, rays = at[seen], rays[seen]
@@ -152,8 +157,8 @@ def _near_joints(
     sides: Sides,
     width: tuple[float, float],
     blur_px: float,
-) -> Int[np.ndarray, "n 2"]:
-    """Pixels (u, v) in reach of the sides: bands, drawn piece by piece since a lens bends them."""
+) -> UInt8[np.ndarray, "h w"]:
+    """One for pixels in reach of the sides: bands, drawn piece by piece since a lens bends them."""
     ends_px = project_ground(camera, pose, sides.ends)
     count = np.ceil(np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1) / STRAIGHT_PX).astype(int)
     side = np.repeat(np.arange(len(sides)), count)
@@ -171,8 +176,20 @@ def _near_joints(
     mask = np.zeros(shape, np.uint8)
     for band in np.rint(16 * corners[np.isfinite(corners).all((1, 2))]).astype(np.int32):
         cv2.fillConvexPoly(mask, band, 1, cv2.LINE_8, 4)
-    v, u = np.nonzero(mask[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX])
-    return np.stack([u, v], 1) + BORDER_PX
+    for edge in (mask, mask.T):
+        edge[:BORDER_PX] = edge[-BORDER_PX:] = 0
+    return mask
+
+
+def thinned(mask: UInt8[np.ndarray, "h w"], most: int) -> Int[np.ndarray, "n 2"]:
+    """Pixels (u, v) of a mask, evenly thinned; some rows at a time, since large pictures have many."""
+    share = most / max(cv2.countNonZero(mask), 1)
+    found: list[np.ndarray] = []
+    for top in range(0, len(mask), ROWS):
+        v, u = np.nonzero(mask[top : top + ROWS])
+        at = np.stack([u, v + top], 1)
+        found.append(at if share >= 1 else at[np.mod(at @ np.array(R2), 1.0) < share])
+    return np.concatenate(found)
 
 
 def _ideal_per_px(camera: Camera, rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 2 2"]:
@@ -222,8 +239,10 @@ def _placed(
     off_x = np.where(lower, off[1][kept], off[0][kept])
     piece_x = np.where(kind == 1, np.trunc(off_x * q_x[kept] / PIECE_PX), 0).astype(int)
     piece_y = np.where(kind == 2, np.trunc(off_y[kept] * q_y[kept] / PIECE_PX), 0).astype(int)
-    block = _numbered(middle, line[kept], lower, piece_x, piece_y)
-    cell = _numbered(middle, line[kept], lower)
+    block, pieces = _numbered(middle, line[kept], lower, piece_x, piece_y)
+    cell, first = _numbered(middle, line[kept], lower)
+    row = line[kept] - lower
+    places = np.stack([middle + row * shift, line[kept]], 1)[first]
     return JointPixels(
         grey=picture[at[kept, 1], at[kept, 0]].astype(float),
         rays=rays[kept],
@@ -236,15 +255,16 @@ def _placed(
         block=block,
         cell=cell,
         counts=(int((kind == 0).sum()), int((kind == 1).sum()), int((kind == 2).sum())),
-        blocks=int(block.max(initial=-1)) + 1,
-        cells=int(cell.max(initial=-1)) + 1,
+        blocks=len(pieces),
+        places=places.astype(float),
     )
 
 
-def _numbered(*keys: np.ndarray) -> Int[np.ndarray, " n"]:
-    """Numbers from zero for equal keys."""
+def _numbered(*keys: np.ndarray) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]:
+    """Numbers from zero for equal keys, and where each first occurs."""
     number = np.zeros(len(keys[0]), dtype=np.int64)
     for key in keys:
         low, high = (int(key.min()), int(key.max())) if len(key) else (0, 0)
         number = number * (high - low + 1) + (key.astype(np.int64) - low)
-    return np.unique(number, return_inverse=True)[1].ravel()
+    _, first, inverse = np.unique(number, return_index=True, return_inverse=True)
+    return inverse.ravel(), first

@@ -39,4 +39,9 @@ def rested(
     if settled.scatter.place * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
         return settled
     exact = on_grey_levels(picture, settled.fit, settled.covariance, reach, field)
-    return settled if exact is None else replace(settled, fit=exact.fit, covariance=exact.covariance)
+    if exact is None:
+        return settled
+    # Of a large picture's pixels a few are looked at, and the measured places may know more.
+    if np.linalg.slogdet(exact.plain)[1] > np.linalg.slogdet(settled.covariance)[1]:
+        return replace(settled, covariance=settled.covariance + exact.doubted)
+    return replace(settled, fit=exact.fit, covariance=exact.covariance)

@@ -24,6 +24,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import diags, hstack, identity
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from autoreg.design_effect import drawn_design_effect
 from autoreg.measured_joints import measured_joints
 from autoreg.refine import Fit
 from autoreg.residuals import PARAMETERS
@@ -38,9 +39,8 @@ WIDE_SEARCHES = (((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5)), ((0.75, 1
 NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), ()),)
 # Factors of the likeliest place's size over which the answer is averaged.
 LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
-# Joints in relief scatter beyond the model (shadows within them, other shapes of the relief): the variance is
-# this much larger where there is a relief, as measured on ray-traced pavings.
-MISFIT = 2.0
+# Pictures that are drawn from the model, to learn how its joints would agree.
+DRAWS = 16
 # A station farther off than this many standard deviations is none of a slab's: it is left out.
 GROSS_SIGMAS = 4.0
 # The sizes of the effects are searched on blocks of so many slabs square, with about so many stations in all.
@@ -55,13 +55,15 @@ BOW = 0.0015
 class Scatter:
     """Standard deviations of the slabs' irregularity, in the unit of the pose (`turn` in radians).
 
-    `lift` and `turn` are of slabs, like `place`; `relief` is a share of half the joint's width.
+    `lift` and `turn` are of slabs, like `place`; `relief` is a share of half the joint's width. `misfit` is
+    the factor, in variance, by which joints agree on being off beyond what all of these explain.
     """
 
     place: float
     lift: float
     turn: float
     relief: float
+    misfit: float
 
 
 @dataclass(frozen=True)
@@ -108,14 +110,17 @@ def estimate_motion(
     # What differs between likely scatters is uncertainty too; it matters where slabs are few.
     away = np.array([f[1] for f in found]) - mean
     inner = np.array([f[2] for f in found]) + away[:, :, None] * away[:, None, :]
-    flat = float(weight[:: len(RELIEFS)].sum())
-    spread = np.tensordot(weight, inner, 1) * (1.0 + (MISFIT - 1.0) * (1.0 - flat))
+    if near is None:
+        model.factor(sizes)
+    misfit = near.misfit if near else max(1.0, model.misfit(relief))
+    spread = np.tensordot(weight, inner, 1) * misfit
     parameters, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
     parameters[model.free] = mean * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
-    relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
     place, lift, turn = sizes
-    return Estimate(parameters, covariance, Scatter(place, place * lift, place * turn / model.side, relief))
+    relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
+    scatter = Scatter(place, place * lift, place * turn / model.side, relief, misfit)
+    return Estimate(parameters, covariance, scatter)
 
 
 def _in_blocks(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
@@ -238,9 +243,24 @@ class _Model:
     def _solved(self, right: np.ndarray) -> np.ndarray:
         return cho_solve_banded((self.cholesky, True), right, check_finite=False)
 
-    def _whitened(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    def _whitened(self, x: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
         """V^-1 x."""
-        return x / self.D - self.ZD.T @ (self.scale * self._solved(self.scale * (self.ZD @ x)))
+        scale = self.scale[:, None]
+        return x / self.D[:, None] - self.ZD.T @ (scale * self._solved(scale * (self.ZD @ x)))
+
+    def misfit(self, relief: float) -> float:
+        """How much more the stations that share something agree than in pictures drawn from the model."""
+        p, k = len(self.free), len(self.relief)
+        X = self.columns[:, :-1] * np.r_[np.ones(p), np.where(self.relief, relief, 1.0)]
+        random = np.random.default_rng(0)
+        drawn = np.sqrt(self.D)[:, None] * random.standard_normal((len(X), DRAWS))
+        drawn += self.Z @ (self.scale[:, None] * random.standard_normal((len(self.scale), DRAWS)))
+        drawn += X[:, p:] @ random.standard_normal((k, DRAWS))
+        VX = self._whitened(X)
+        inverse = np.linalg.inv(self._normal(np.array([relief])).H[0])
+        y = np.column_stack([self.joints.off_px, drawn])
+        pulls = self._whitened(y - X @ (inverse @ (VX.T @ y)))
+        return drawn_design_effect(X, inverse, pulls, self.joints.shared, 6)
 
     def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
         """Normal equations of the motion and the relief's shifts, for each size of the relief."""
@@ -274,7 +294,7 @@ class _Model:
         self.factor(sizes)
         x = self._normal(np.array([relief])).x[0]
         left = self.columns @ np.r_[x, 1.0]
-        own = self.D * self._whitened(left)
+        own = self.D * self._whitened(left[:, None])[:, 0]
         # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
         place, lift, turn = sizes
         variance = self.joints.noise_px**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
