@@ -51,9 +51,9 @@ class MeasuredJoints:
         return self.fit.profiles.px_per_unit[self.rows]
 
     @property
-    def shared(self) -> tuple[Int[np.ndarray, " k"], ...]:
-        """Numbers of what measurements have in common: the line, and the field of one slab's size."""
-        grid, stations = self.fit.grid, self.fit.stations.take(np.r_[self.rows, self.rows[self.wide]])
+    def shared(self) -> tuple[Int[np.ndarray, " n"], ...]:
+        """Numbers of what middles have in common: the line, and the field of one slab's size."""
+        grid, stations = self.fit.grid, self.fit.stations.take(self.rows)
         line = np.stack([stations.family, stations.line], 1)
         cell = np.floor(stations.ground / [grid.spacing_x or grid.spacing_y, grid.spacing_y])
         return tuple(np.unique(key, axis=0, return_inverse=True)[1].ravel() for key in (line, cell))

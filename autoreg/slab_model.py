@@ -39,6 +39,9 @@ WIDE_SEARCHES = (((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5)), ((0.75, 1
 NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), ()),)
 # Factors of the likeliest place's size over which the answer is averaged.
 LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
+# Where the widths tell the relief, its shape varies beyond the model: the variance is this much larger, as
+# measured on ray-traced pavings.
+MISFIT = 2.0
 # Pictures that are drawn from the model, to learn how its joints would agree.
 DRAWS = 16
 # A station farther off than this many standard deviations is none of a slab's: it is left out.
@@ -110,9 +113,14 @@ def estimate_motion(
     # What differs between likely scatters is uncertainty too; it matters where slabs are few.
     away = np.array([f[1] for f in found]) - mean
     inner = np.array([f[2] for f in found]) + away[:, :, None] * away[:, None, :]
-    if near is None:
+    flat = float(weight[:: len(RELIEFS)].sum())
+    if near is not None:
+        misfit = near.misfit
+    elif len(model.joints.wide):
+        misfit = 1.0 + (MISFIT - 1.0) * (1.0 - flat)
+    else:
         model.factor(sizes)
-    misfit = near.misfit if near else max(1.0, model.misfit(relief))
+        misfit = max(1.0, model.misfit(relief))
     spread = np.tensordot(weight, inner, 1) * misfit
     parameters, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
     parameters[model.free] = mean * model.unit
