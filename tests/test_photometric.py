@@ -213,10 +213,10 @@ def test_the_pose_of_a_picture_without_noise_is_exact() -> None:
 
 @pytest.mark.parametrize("scene", [PLAIN, BOND, LENS])
 def test_grey_levels_know_the_pose_better_than_measured_places(scene: SyntheticScene) -> None:
-    seeds = range(4)
+    seeds = range(8)
     off = [crossings_off_px(scene, answered(scene, s).fit.cam_from_ground) for s in seeds]
     before = [crossings_off_px(scene, settle(fitted(scene, s)).fit.cam_from_ground) for s in seeds]
-    assert np.mean(np.square(off)) < 0.9 * np.mean(np.square(before))
+    assert np.mean(np.square(off)) < 0.75 * np.mean(np.square(before))
 
 
 @pytest.mark.parametrize("scene", [PLAIN, STONE])
