@@ -252,6 +252,13 @@ def test_the_focal_length_for_35_mm_film_goes_by_the_diagonal(photo_of):
     assert "28 mm on 35 mm film" in photo.exif_focal_note
 
 
+def test_the_focal_length_is_found_as_well_in_the_files_main_directory(photo_of):
+    exif = Image.Exif()
+    exif[FOCAL_35] = 28
+    photo = photo_of(encoded(colour_picture(160, 120), exif=exif))
+    assert photo.exif_focal_px == pytest.approx(28 / 43.2666 * 200, rel=1e-5)
+
+
 def test_a_full_frame_picture_of_36_mm_focal_length_has_it_equal_to_its_width():
     focal, _ = focal_from_exif(Exif(focal_35mm=36.0), 3600, 2400)
     assert focal == pytest.approx(3600, rel=1e-12)
