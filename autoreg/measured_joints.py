@@ -18,7 +18,7 @@ from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y
 
 # Joints at least this many blurs wide show both edges apart.
-CLEAR_BLURS = 2.5
+APART_BLURS = 2.5
 # Share of the largest blur that is tried, from which on the blur itself is in doubt.
 MOST_BLUR = 0.85
 # Joints are as wide as this share of them look at most: others are hidden in part, or their slabs lie off.
@@ -112,7 +112,7 @@ def _told_apart(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
     # A picture more blurred than any blur that is tried makes thin joints look wide.
     lined &= fit.strip.blur_px < MOST_BLUR * BLURS[-1]
     expected = width_px_of(fit.strip, fit.stations, fit.profiles)[rows]
-    wide = np.flatnonzero(lined & (expected > CLEAR_BLURS * fit.strip.blur_px))
+    wide = np.flatnonzero(lined & (expected > APART_BLURS * fit.strip.blur_px))
     if len(wide) < LEAST_WIDE * len(rows):
         return wide[:0]
     return wide[np.isfinite(fit.widths.sigma_width_px[rows[wide]])]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
-from autoreg.edges import Offsets, Widths, fit_offsets, fit_widths
+from autoreg.edges import Offsets, fit_offsets
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
 from autoreg.joint_looks import (
@@ -36,6 +36,7 @@ from autoreg.stations import (
     project_ground,
     visible_sides,
 )
+from autoreg.widths import Widths, fit_widths
 
 # Solves per round, each with the scatter that the one before left.
 SOLVES = 2

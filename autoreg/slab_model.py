@@ -113,10 +113,10 @@ def estimate_motion(
     # What differs between likely scatters is uncertainty too; it matters where slabs are few.
     away = np.array([f[1] for f in found]) - mean
     inner = np.array([f[2] for f in found]) + away[:, :, None] * away[:, None, :]
-    flat = float(weight[:: len(RELIEFS)].sum())
     if near is not None:
         misfit = near.misfit
     elif len(model.joints.wide):
+        flat = float(weight[:: len(RELIEFS)].sum())
         misfit = 1.0 + (MISFIT - 1.0) * (1.0 - flat)
     else:
         model.factor(sizes)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from autoreg.calibration.board import Board, BoardView
-from autoreg.calibration.synthetic import random_pose
+from autoreg.calibration.synthetic import bent_points, random_pose
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 
@@ -41,3 +43,19 @@ def views(
 
 def exact(camera: Camera, pose: Rigid, board: Board = BOARD) -> np.ndarray:
     return camera.project(pose.apply(board.points))
+
+
+def restless_views(camera: Camera, count: int, kind: str, seed: int = 0) -> list[BoardView]:
+    """Views of one camera that scatter: the sheet "bent", the lens "focusing", or the "moving sensor"."""
+    rng = np.random.default_rng(seed)
+    places = bent_points(BOARD, (0.03, 0.01, -0.02)) if kind == "bent" else BOARD.points
+    seen = []
+    for k, pose in enumerate(poses(camera, count, seed)):
+        focal = 1 + 0.01 * rng.standard_normal() * (kind == "focusing")
+        dx, dy = 8 * rng.standard_normal(2) * (kind == "moving sensor")
+        here = replace(
+            camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + dx, cy=camera.cy + dy
+        )
+        px = here.project(pose.apply(places)) + rng.normal(0, 0.1, (BOARD.corners, 2))
+        seen.append(BoardView(str(k), np.arange(BOARD.corners), px))
+    return seen

@@ -10,7 +10,6 @@ import pytest
 
 from autoreg.camera import Camera
 from autoreg.corrections import recentred
-from autoreg.edges import Widths
 from autoreg.freedom import Free
 from autoreg.geometry import vector_from_rotation
 from autoreg.image import as_gray
@@ -20,6 +19,7 @@ from autoreg.refine import Fit, refine_until_still
 from autoreg.stations import ALONG_Y, Grid, project_ground
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from autoreg.uncertainty import settle
+from autoreg.widths import Widths
 
 SCENE = SyntheticScene(
     camera=Camera.from_focal(1200, 900, 1300.0),

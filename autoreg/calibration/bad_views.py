@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from autoreg.calibration.adjustment import Adjustment, adjust
+from autoreg.calibration.adjustment import Adjustment, adjust, fit_poses
 from autoreg.calibration.models import GENERAL
 from autoreg.calibration.observations import Data
 from autoreg.calibration.unknowns import Freedom, State
@@ -19,6 +19,8 @@ _LEAST_RATIO, _LEAST_SIGMAS = 1.5, 4.0
 # If more than this part of the views is bad, nobody knows which part is right.
 MOST_BAD = 1 / 3
 _LEAST_VIEWS = 4
+# A view that is off by more than this part of the board's size is no view of the board.
+_NONSENSE = 0.05
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,11 @@ class Sifted:
     kept: tuple[int, ...]
     state: State
     bad: tuple[BadView, ...]
+
+
+def sane_views(data: Data, state: State) -> Int[np.ndarray, " s"]:
+    """Which views show the board at all, by a rough camera."""
+    return np.flatnonzero(fit_poses(data, state).view_rms_px < _NONSENSE * data.sizes_px)
 
 
 def held_out_rms(fit: Adjustment) -> Float[np.ndarray, " v"]:

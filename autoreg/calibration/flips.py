@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from autoreg.calibration.adjustment import Adjustment, adjust, fit_poses
+from autoreg.calibration.bad_views import sane_views
 from autoreg.calibration.models import INTRINSICS
 from autoreg.calibration.observations import Data
-from autoreg.calibration.precision import precision_of
+from autoreg.calibration.precision import precision_of, shared_variance
 from autoreg.calibration.unknowns import Freedom, State
 
 # What software does to a picture without changing its size: the signs of its x and y, and the words for it.
@@ -20,8 +21,6 @@ SIGNS = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)])
 WORDS = ("as the sensor saw it", "mirrored left to right", "mirrored top to bottom", "turned by 180°")
 _MOST_ROUNDS = 8
 _TOLERANCE = 1e-5
-# A view that is off by more than this part of the board's size is no view of the board.
-_NONSENSE = 0.05
 # Undoing what was done to the views lowers the sum of squares, in units of the scatter that remains, by more
 # than so much for each view. Scatter alone, divided by its sign, is explained to 1.3.
 _LEAST_GAIN = 6.0
@@ -66,7 +65,7 @@ def flipped_views(data: Data, start: State, freedom: Freedom, width: int, height
         width: of the frame in pixels.
         height: likewise.
     """
-    sane = np.flatnonzero(fit_poses(data, start).view_rms_px < _NONSENSE * data.sizes_px)
+    sane = sane_views(data, start)
     if len(sane) < 2:
         return None
     some = data.part(sane)
@@ -165,9 +164,4 @@ def _foretold(
 def _judged(joint: Adjustment, flips: Int[np.ndarray, " v"], fit: Adjustment) -> Flipped:
     scatter = (fit.sigma_px * precision_of(fit).dispersion) ** 2
     gain = float((joint.residuals_px**2).sum() - (fit.residuals_px**2).sum()) / scatter / len(flips)
-    return Flipped(flips, fit, gain, _shared(fit) / max(_shared(joint), 1e-300))
-
-
-def _shared(fit: Adjustment) -> float:
-    """The variance that a view's corners share, beyond their scatter."""
-    return fit.sigma_px**2 * (precision_of(fit).dispersion ** 2 - 1)
+    return Flipped(flips, fit, gain, shared_variance(fit) / max(shared_variance(joint), 1e-300))

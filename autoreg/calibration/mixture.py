@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Bool
 
 from autoreg.calibration.adjustment import Adjustment, adjust, fit_poses
+from autoreg.calibration.bad_views import sane_views
 from autoreg.calibration.models import COUNT
 from autoreg.calibration.observations import Data
-from autoreg.calibration.precision import precision_of
+from autoreg.calibration.precision import precision_of, shared_variance
 from autoreg.calibration.unknowns import Freedom, State
 
 # A group is at least so many standpoints: fewer fit a camera of their own by chance.
 _LEAST_GROUP = 4
-# A view that is off by more than this part of the board's size is no view of the board.
-_NONSENSE = 0.05
 _MOST_ROUNDS = 12
 # Directions of the common unknowns along which views are divided to begin with.
 _DIRECTIONS = 5
@@ -68,7 +67,7 @@ def two_cameras(data: Data, start: State, freedom: Freedom) -> Mixture | None:
         start: first values.
         freedom: what may move besides the poses.
     """
-    sane = np.flatnonzero(fit_poses(data, start).view_rms_px < _NONSENSE * data.sizes_px)
+    sane = sane_views(data, start)
     if len(sane) < 2 * _LEAST_GROUP:
         return None
     data, joint = data.part(sane), adjust(data.part(sane), start.part(sane), freedom)
@@ -156,7 +155,7 @@ def _contradictory(fit: Adjustment) -> bool:
 
 def _shared(fit: Adjustment) -> float:
     """The variance that a view's corners share, beyond their scatter, and what robust fitting discounted."""
-    return fit.sigma_px**2 * (precision_of(fit).dispersion ** 2 - 1) + _discounted(fit)
+    return shared_variance(fit) + _discounted(fit)
 
 
 def _discounted(fit: Adjustment) -> float:

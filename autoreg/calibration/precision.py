@@ -60,6 +60,11 @@ def precision_of(fit: Adjustment) -> Precision:
     return Precision(covariance, dispersion, determined)
 
 
+def shared_variance(fit: Adjustment) -> float:
+    """The variance in px² that a view's corners share, beyond their scatter: what a wrong camera leaves."""
+    return fit.sigma_px**2 * (precision_of(fit).dispersion ** 2 - 1)
+
+
 def _dispersion(fit: Adjustment, inverse: Float[np.ndarray, "f f"]) -> float:
     # Views that repeat one another share their errors and count as one.
     member = np.equal.outer(np.unique(fit.standpoint), fit.standpoint).astype(float)

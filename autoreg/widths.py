@@ -1,0 +1,76 @@
+"""Places of both edges of the joints, each for itself: how wide a joint looks, and where its middle is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.profiles import Profiles
+from autoreg.strips import INDEPENDENT, NOISE_FLOOR, STILL_PX, StripModel, Window, batches, dot, single
+
+# Shares of the known width from which both edges of a strip are looked for, and the most steps towards them.
+STARTS, EDGE_STEPS = (0.6, 1.0), 12
+
+
+@dataclass(frozen=True)
+class Widths:
+    """Each joint's middle along its station's normal, and its width, where its two edges are told apart.
+
+    Sigmas are infinite where they are not.
+    """
+
+    middle_px: Float[np.ndarray, " n"]
+    width_px: Float[np.ndarray, " n"]
+    sigma_middle_px: Float[np.ndarray, " n"]
+    sigma_width_px: Float[np.ndarray, " n"]
+
+
+def fit_widths(
+    profiles: Profiles, start_px: Float[np.ndarray, " n"], width_px: Float[np.ndarray, " n"], blur: float
+) -> Widths:
+    """Least-squares places of both edges of each strip, from where one of a known width was fitted.
+
+    An edge that is hidden, or looks like its slab, leaves a narrower strip that lies off: two widths are
+    started from.
+    """
+    columns = np.empty((4, len(start_px)))
+    for rows, window in batches(profiles, start_px, width_px, blur):
+        found = [_both_edges(window, start_px[rows], width_px[rows], share, blur) for share in STARTS]
+        better = found[1][0] < found[0][0]
+        columns[:, rows] = np.where(better, found[1][1:], found[0][1:])
+    return Widths(*columns)
+
+
+def _both_edges(
+    window: Window, start: np.ndarray, width: np.ndarray, share: float, blur: float
+) -> np.ndarray:
+    """Unexplained squares, middle, width and their sigmas, from a share of the known width (Gauss-Newton)."""
+    at, values, weight = window
+    strip = StripModel(values, weight, single(share * width), blur)
+    centre, half = start.copy(), 0.5 * share * width
+    variances = np.zeros((2, len(start)))
+    for _ in range(EDGE_STEPS):
+        strip.half = single(half)[:, None]
+        strip.at(at - single(centre)[:, None])
+        slopes = strip.slope(), strip.slope_by_half()
+        pulls = [dot(weight * slope, strip.misfit).astype(float) for slope in slopes]
+        # A little damping keeps steps of hardly visible edges finite.
+        squares = [1.01 * dot(weight * slope, slope).astype(float) + 1e-6 for slope in slopes]
+        mixed = dot(weight * slopes[0], slopes[1]).astype(float)
+        determinant = squares[0] * squares[1] - mixed**2
+        variances = np.stack(squares[::-1]) / determinant
+        pulled = variances * np.stack(pulls) - mixed / determinant * np.stack(pulls[::-1])
+        steps = np.clip(pulled, -0.7, 0.7)
+        centre += steps[0]
+        half = np.maximum(half + steps[1], 0.05 * width)
+        if np.abs(steps).max() < STILL_PX:
+            break
+    sse = dot(weight * strip.misfit, strip.misfit).astype(float)
+    variance = sse / np.maximum(weight.sum(1).astype(float) * INDEPENDENT - 5.0, 1.0) + NOISE_FLOOR
+    sigma_centre, sigma_half = np.sqrt(variance * variances)
+    told = (np.abs(centre - start) < 0.5 * width + 1.0) & (half > 0.1 * width) & (half < 0.9 * width)
+    found = np.stack([sse, centre, 2.0 * half, sigma_centre, 2.0 * sigma_half])
+    untold = np.stack([np.full(len(start), np.inf), start, width, *np.full((2, len(start)), np.inf)])
+    return np.where(told, found, untold)
