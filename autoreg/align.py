@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from autoreg.alignment import Alignment, CameraReport, JointFit, Pose, Residual
+from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
 from autoreg.conclude import (
     canonical_frame,
@@ -74,6 +75,7 @@ def align(
     )
 
 
+@one_blas_thread()
 def align_seen(
     sight: Sight,
     camera: Camera | None,

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import platform
 import threading
 from collections.abc import Callable
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib import import_module, resources
 from pathlib import Path
@@ -115,30 +114,34 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
     photo = load_photo(job.photo)
     camera = _camera_for(job, photo, listener)
     listener.doing("aligning")
-    # Looked at while jax is imported and the solver compiled.
-    sight = see(photo.gray)
-    pipeline = import_module("autoreg.align")
-    try:
-        alignment: Alignment = pipeline.align_seen(
-            sight,
-            camera,
-            slab=job.slab,
-            camera_height=job.camera_height,
-            exif_focal_px=photo.exif_focal_px,
-        )
-    except Refusal as refusal:
-        report = refused_report(job.photo, photo.width, photo.height, refusal, camera)
-        written = _write_report(job, report, fresh=True)
-        return Outcome(report, None, refusal, None, (written,))
+    with ThreadPoolExecutor(1) as beside:
+        # Decoded and looked at while jax is imported and the solver fetched.
+        decoded = beside.submit(photo.colour)
+        sight = see(photo.gray)
+        pipeline = import_module("autoreg.align")
+        try:
+            alignment: Alignment = pipeline.align_seen(
+                sight,
+                camera,
+                slab=job.slab,
+                camera_height=job.camera_height,
+                exif_focal_px=photo.exif_focal_px,
+            )
+        except Refusal as refusal:
+            report = refused_report(job.photo, photo.width, photo.height, refusal, camera)
+            written = _write_report(job, report, fresh=True)
+            return Outcome(report, None, refusal, None, (written,))
 
-    listener.doing("drawing")
-    colour = photo.colour()
-    report = aligned_report(job.photo, alignment, None)
-    plan = make_plan(job.wish, scene, alignment, colour, job.photo)
-    overlay = overlay_picture(alignment, colour)
-    job.folder.mkdir(parents=True, exist_ok=True)
-    clear_results(job.folder)
-    written = [write_png(job.folder / "overlay.png", overlay), *write_scene(job.folder, plan)]
+        listener.doing("drawing")
+        colour = decoded.result()
+        report = aligned_report(job.photo, alignment, None)
+        drawn = beside.submit(overlay_picture, alignment, colour)
+        plan = make_plan(job.wish, scene, alignment, colour, job.photo)
+        overlay = drawn.result()
+        job.folder.mkdir(parents=True, exist_ok=True)
+        clear_results(job.folder)
+        staged = beside.submit(write_scene, job.folder, plan)
+        written = [write_png(job.folder / "overlay.png", overlay), *staged.result()]
     written.append(_write_report(job, report))
     if job.engine is None:
         return Outcome(report, alignment, None, None, tuple(written))
@@ -161,13 +164,9 @@ def _warm_up(ended: threading.Event) -> None:
     # A photo that cannot be read is told of before this.
     if ended.wait(0.02):
         return
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "autoreg" / platform.node()
-    with suppress(OSError):
-        cache.mkdir(parents=True, exist_ok=True)
-        import_module("autoreg.solver").enable_compilation_cache(cache)
-    pipeline = import_module("autoreg.align")
+    solver = import_module("autoreg.solver")
     if not ended.is_set():
-        pipeline.warm_up()
+        solver.warm_up(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "autoreg")
 
 
 def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:

@@ -29,8 +29,10 @@ def write_whole(path: Path, content: bytes) -> Path:
 
 def write_png(path: Path, image: np.ndarray) -> Path:
     """The path of a lossless picture (grey, BGR or BGRA), written whole."""
-    # Level 1 is several times faster than the default on a photo, and not much bigger.
-    done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    # Level 1 is several times faster than the default on a photo, and not much bigger; one kind of filter for
+    # all rows is twice as fast again as the choice of the best for each, and smaller.
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP]
+    done, encoded = cv2.imencode(".png", image, options)
     if not done:
         raise ValueError(f"a picture of shape {image.shape} and type {image.dtype} has no PNG form")
     return write_whole(path, encoded.tobytes())

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
@@ -39,6 +38,9 @@ def sharpen(
     segments: Segments, camera: Camera, R: Float[np.ndarray, "3 3"], *, free_focal: bool
 ) -> tuple[Camera, Float[np.ndarray, "3 3"]]:
     """The camera and the cam_from_ground rotation, near given ones, that line up the joints best."""
+    # Most photos need no sharpening, and none of them should wait for its import.
+    from scipy.optimize import minimize
+
     points = _points(segments, camera)
     axes = grid_axes(camera, R, 12.0, BINS)
     if axes is None or len(points.weight) < 30:

@@ -1,34 +1,22 @@
-"""Non-linear least squares by jaxopt's Levenberg-Marquardt; the only file that knows jaxopt.
+"""Non-linear least squares by jaxopt's Levenberg-Marquardt: the loop around its step.
 
-jaxopt supplies the step and the damping (Madsen and Nielsen, algorithm 6.18). The loop around it stands here,
+jaxopt supplies the step and the damping (Madsen and Nielsen, algorithm 6.18). The loop stands here,
 because jaxopt's own never says why it stopped, judges by a tolerance that is absolute, and compiles the step
 three times over.
 """
 
 from __future__ import annotations
 
-import threading
-import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", DeprecationWarning)
-    from jaxopt import LevenbergMarquardt
-    from jaxopt._src.levenberg_marquardt import LevenbergMarquardtState
-
-from autoreg.residuals import PARAMETERS, JointData, Numbers, distances_and_jacobian, robust, robust_curvature
-
-# Shapes are fixed, so that one compiled function serves every photo and the compilation cache hits.
-CAPACITY = 2048
+from autoreg.lm_step import CAPACITY, Problem, State, blank_state, compiled_step
+from autoreg.residuals import PARAMETERS, JointData
 
 # A joint that lies this many standard deviations off counts half.
 CAUCHY_SIGMAS = 2.4
@@ -72,18 +60,6 @@ class Solution:
     steps: int
 
 
-class _Problem(NamedTuple):
-    """What a step needs to know.
-
-    The solver's variables are the parameters divided by `unit`, which is zero for a frozen one.
-    """
-
-    data: JointData
-    unit: Float[Numbers, " p"]
-    prior_mean: Float[Numbers, " p"]
-    prior_weight: Float[Numbers, " p"]
-
-
 def solve_joints(
     data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None, *, rough: bool = False
 ) -> Solution:
@@ -104,7 +80,7 @@ def solve_joints(
     scale = np.asarray(data.scale, float)
     prior = prior or Prior(np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf))
     with jax.enable_x64(True):
-        problem = _Problem(
+        problem = Problem(
             data=jax.device_put(padded(data, CAPACITY)),
             unit=np.asarray(free, float),
             prior_mean=prior.mean / scale,
@@ -137,11 +113,11 @@ def padded(data: JointData, rows: int) -> JointData:
     )
 
 
-def _minimise(problem: _Problem, rough: bool) -> tuple[np.ndarray, Any, np.ndarray, int]:
+def _minimise(problem: Problem, rough: bool) -> tuple[np.ndarray, State, np.ndarray, int]:
     """The solver's variables at the minimum, jaxopt's state there, their units, and the steps taken."""
-    step = _step()
+    step = compiled_step()
     q = np.zeros(PARAMETERS)
-    _, state = step(q, _blank_state(), problem)
+    _, state = step(q, blank_state(), problem)
     # Columns of unit length, since jaxopt's damping is the same for all variables.
     length = np.sqrt(np.diagonal(np.asarray(state.jtj)))
     finer = 1.0 / np.where(length > 0, length, 1.0)
@@ -166,7 +142,7 @@ def _minimise(problem: _Problem, rough: bool) -> tuple[np.ndarray, Any, np.ndarr
     return np.asarray(q), state, unit, steps
 
 
-def _rescaled(state: Any, unit: np.ndarray) -> Any:
+def _rescaled(state: State, unit: np.ndarray) -> State:
     """The state at zero with its variables in other units: it need not be evaluated again."""
     jac, both = np.asarray(state.jac) * unit, np.outer(unit, unit)
     distances, jacobian, curvature = state.aux
@@ -179,7 +155,7 @@ def _rescaled(state: Any, unit: np.ndarray) -> Any:
     )
 
 
-def _curved(state: Any) -> Any:
+def _curved(state: State) -> State:
     """The state with the cost's own curvature in place of the Gauss-Newton approximation, where it is convex.
 
     Gauss-Newton on robust residuals creeps (its rate falls to that of the doubted joints), and then promises
@@ -194,7 +170,7 @@ def _curved(state: Any) -> Any:
     return state._replace(jtj=newton, damping_factor=np.maximum(state.damping_factor, LEAST_DAMPING))
 
 
-def _promised(state: Any) -> float:
+def _promised(state: State) -> float:
     """Decrease of the cost that a Gauss-Newton step promises: a measure free of scales and of the damping."""
     gradient, normal = np.asarray(state.gradient), np.asarray(state.jtj)
     if not (np.isfinite(gradient).all() and np.isfinite(normal).all()):
@@ -205,112 +181,12 @@ def _promised(state: Any) -> float:
     return float(0.5 * np.sum(along**2 / np.where(values > 1e-13 * values[-1], values, np.inf)))
 
 
-class _Evaluation(NamedTuple):
-    residual: Float[Array, " m"]
-    jacobian: Float[Array, "m p"]
-    seen: tuple[Float[Array, " n"], Float[Array, "n p"], Float[Array, "p p"]]
+def warm_up(folder: Path | None = None) -> None:
+    """Compile the solver's step, so that no photo need wait for it.
 
-
-@jax.jit
-def _evaluate(q: Float[Array, " p"], problem: _Problem) -> _Evaluation:
-    """Robust residuals with those of the prior, their derivatives by q, and what is seen beside them.
-
-    That is the joints' own distances and derivatives, and the cost's second derivatives by q (without the
-    bending of the projection, which small distances make negligible). jaxopt asks for the parts one by one:
-    they are traced once, and the compiler merges the repeated calls.
+    Args:
+        folder: where it is fetched from if an earlier process left it there, and else kept: one's own, since
+            what it holds is run unseen. It is for programs to give, not for libraries.
     """
-    data, unit, mean, weight = problem
-    p = q * unit
-    distances, jacobian = distances_and_jacobian(p, data)
-    doubt = distances * data.weight
-    joints, slope = robust(doubt)
-    residual = jnp.concatenate([joints, weight * (p - mean)])
-    rows, prior_rows = jacobian * data.weight[:, None] * unit, jnp.diag(weight * unit)
-    by_q = jnp.concatenate([rows * slope[:, None], prior_rows])
-    curvature = rows.T @ (rows * robust_curvature(doubt)[:, None]) + prior_rows**2
-    return _Evaluation(residual, by_q, (distances, jacobian, curvature))
-
-
-def _residual(q: Float[Array, " p"], problem: _Problem) -> tuple[Array, Any]:
-    evaluation = _evaluate(q, problem)
-    return evaluation.residual, evaluation.seen
-
-
-def _jacobian(q: Float[Array, " p"], problem: _Problem) -> Array:
-    return _evaluate(q, problem).jacobian
-
-
-@cache
-def _solver() -> LevenbergMarquardt:
-    # Neither `jit` nor `run`: the loop is ours, and the step is compiled once, by `_compiled_step`.
-    solver = LevenbergMarquardt(
-        _residual, jac_fun=_jacobian, has_aux=True, materialize_jac=True, solver="cholesky", jit=False
-    )
-    # jaxopt 0.8.5 takes a `jac_fun` but forgets it when the Jacobian is materialised.
-    solver._jac_fun = _jacobian  # pyright: ignore
-    return solver
-
-
-@cache
-def _blank_state() -> Any:
-    """A state from which an update stays where it is and only evaluates: infinite cost, and no gradient.
-
-    jaxopt's own first state would need a second copy of the evaluation to be traced and compiled.
-    """
-    n, p = CAPACITY, PARAMETERS
-    rows = n + p
-    return LevenbergMarquardtState(
-        # As the step hands it on: of 64 bits, where the state declares a plain int.
-        iter_num=np.int64(0),  # pyright: ignore[reportArgumentType]
-        damping_factor=np.float64(1.0),
-        increase_factor=np.float64(2.0),
-        residual=np.zeros(rows),
-        value=np.float64(np.inf),
-        delta=np.zeros(p),
-        error=np.float64(0.0),
-        gradient=np.zeros(p),
-        jac=np.zeros((rows, p)),
-        jt=np.zeros((p, rows)),
-        jtj=np.zeros((p, p)),
-        hess_res=None,
-        aux=(np.zeros(n), np.zeros((n, p)), np.zeros((p, p))),
-    )
-
-
-_COMPILING = threading.Lock()
-
-
-def _step() -> Callable[[Any, Any, _Problem], tuple[Any, Any]]:
-    # Whoever comes while another thread compiles (`warm_up` beside the reading of a photo) waits for it.
-    with _COMPILING:
-        return _compiled_step()
-
-
-@cache
-def _compiled_step() -> Callable[[Any, Any, _Problem], tuple[Any, Any]]:
-    return jax.jit(_solver().update).lower(np.zeros(PARAMETERS), _blank_state(), _example()).compile()
-
-
-def _example() -> _Problem:
-    """A problem of the right shapes."""
-    n = CAPACITY
-    rows = np.zeros((n, 2))
-    data = JointData(rows, rows, rows, np.zeros(n), np.eye(3), np.ones(3), np.zeros(12), np.ones(PARAMETERS))
-    return _Problem(data, *(np.zeros(PARAMETERS) for _ in range(3)))
-
-
-def warm_up() -> None:
-    """Compile the solver's step, or fetch it from jax's cache, so that no photo need wait for it."""
     with jax.enable_x64(True):
-        _step()
-
-
-def enable_compilation_cache(folder: Path) -> None:
-    """Keep compiled functions in a folder, for this and later processes; call it before the first solve.
-
-    It changes jax's configuration for the whole process, so it is for programs to call, not for libraries.
-    """
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    # By default jax keeps only what took more than a second to compile, which this may not.
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+        compiled_step(folder)

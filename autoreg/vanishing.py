@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
 from autoreg.directions import SegmentRays, camera_rays, single_directions
 from autoreg.errors import Refusal
@@ -29,6 +30,7 @@ class ManhattanFrame:
     sigma_rad: Float[np.ndarray, "3"]
 
 
+@one_blas_thread()
 def manhattan_frame(segments: Segments, camera: Camera) -> ManhattanFrame:
     """The frame that the greatest length of segments agrees with.
 

@@ -1,4 +1,3 @@
-
 import numpy as np
 import pytest
 from boards import BOARD, CAMERA, restless_views, views

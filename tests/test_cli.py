@@ -14,7 +14,7 @@ from handmade import CAMERA, RUNNING, alignment, distorted, photo_for
 from typer.testing import CliRunner
 
 import autoreg.align
-from autoreg import job, render_job
+from autoreg import job, render_job, solver
 from autoreg.cli import app
 from autoreg.errors import InputError, Refusal
 from autoreg.outputs import write_whole
@@ -272,9 +272,10 @@ def test_the_module_runs_as_the_command_and_a_users_mistake_shows_no_traceback(t
 def test_a_process_that_ends_early_waits_for_what_it_began_to_compile(tmp_path):
     cv2.imwrite(str(tmp_path / "photo.png"), np.full((300, 400), 90, np.uint8))
     code = (
-        "import sys, threading, time, autoreg.align, autoreg.job\n"
+        "import sys, threading, time, autoreg.job, autoreg.solver\n"
         "begun, see = threading.Event(), autoreg.job.see\n"
-        "autoreg.align.warm_up = lambda: (begun.set(), time.sleep(1.5), print('compiled', flush=True))\n"
+        "solver = autoreg.solver\n"
+        "solver.warm_up = lambda folder: (begun.set(), time.sleep(1.5), print('compiled', flush=True))\n"
         # The photo is refused while the other thread compiles, however fast it is looked at.
         "autoreg.job.see = lambda picture: (begun.wait(30), see(picture))[1]\n"
         "from autoreg.cli import main\n"
@@ -295,7 +296,7 @@ def test_a_process_that_ends_early_waits_for_what_it_began_to_compile(tmp_path):
 
 def test_nothing_is_compiled_for_a_run_that_has_ended(monkeypatch):
     compiled, ended = [], threading.Event()
-    monkeypatch.setattr(autoreg.align, "warm_up", lambda: compiled.append(True))
+    monkeypatch.setattr(solver, "warm_up", lambda folder: compiled.append(True))
     job._warm_up(ended)
     assert compiled == [True]
     ended.set()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from autoreg.blas_threads import one_blas_thread
 from autoreg.calibration.adjustment import adjust
 from autoreg.calibration.bad_views import Sifted, sift
 from autoreg.calibration.board import DEFAULT_DICTIONARY, DEFAULT_MARKER, Board, BoardView, parse_pattern
@@ -82,6 +83,7 @@ def calibrate(
     )
 
 
+@one_blas_thread()
 def calibrate_views(
     views: Sequence[BoardView],
     board: Board,

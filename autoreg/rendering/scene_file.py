@@ -9,7 +9,6 @@ from typing import Any
 import cv2
 
 from autoreg.errors import InputError
-from autoreg.rendering.letters import text_surface
 from autoreg.rendering.mesh_files import read_mesh
 from autoreg.rendering.objects import (
     FINISHES,
@@ -168,6 +167,9 @@ def _shape(table: Table, kind: str) -> Shape:
 
 
 def _assert_written(table: Table, text: Text) -> None:
+    # Only scenes with letters need what reads fonts.
+    from autoreg.rendering.letters import text_surface
+
     try:
         text_surface(text.text, text.height_m, text.depth_m, text.font)
     except ValueError as error:

@@ -13,7 +13,6 @@ from autoreg.lattice import Lattice
 from autoreg.layout import slab_at, slab_centre
 from autoreg.rendering.depth_of_field import Focus
 from autoreg.rendering.layer import linear_from_srgb
-from autoreg.rendering.letters import text_surface
 from autoreg.rendering.objects import (
     RGB,
     Box,
@@ -131,6 +130,8 @@ def surface_of(shape: Shape) -> Surface:
         case Torus(radius, tube):
             return torus_surface(radius, tube)
         case Text(text, height, depth, font):
+            from autoreg.rendering.letters import text_surface
+
             return text_surface(text, height, depth, font)
         case Mesh(surface):
             return surface

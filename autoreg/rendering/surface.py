@@ -128,8 +128,7 @@ def _revolved(profile: Float[np.ndarray, "m 2"], normals: Float[np.ndarray, "m 2
         np.stack([g[:-1, :-1], g[1:, :-1], g[1:, 1:], g[:-1, 1:]], 2).reshape(-1, 4, g.shape[-1])
         for g in (turned(profile), turned(normals), uv)
     ]
-    corners, normal, uv = (np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]]) for q in quads)
     # At the axis one of the two triangles of each quad has no area.
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
-    kept = area > 1e-12 * area.max()
-    return Surface(corners[kept], normal[kept], uv[kept])
+    off_axis = profile[:, 0] > 1e-9 * profile[:, 0].max()
+    lower, upper = (np.tile(ends, SEGMENTS) for ends in (off_axis[:-1], off_axis[1:]))
+    return Surface(*(np.concatenate([q[lower][:, [0, 1, 2]], q[upper][:, [0, 2, 3]]]) for q in quads))
