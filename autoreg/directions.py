@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 
 from autoreg.camera import Camera
 from autoreg.segments import Segments
@@ -20,6 +20,8 @@ from autoreg.segments import Segments
 CUTOFF_SIGMAS = 3.0
 # Joints are laid and walls are built with errors of direction of this size, whatever the picture's own noise.
 LAYING_SPREAD_RAD = 0.006
+# So many directions are voted on at a time: what a processor's cache holds.
+VOTED = 256
 
 
 @dataclass(frozen=True)
@@ -89,8 +91,12 @@ def agreement(
     squared, denominator = squared_distance(rays, dirs.astype(dtype))
     limit = (np.square(CUTOFF_SIGMAS * rays.sigma)).astype(dtype)
     reach = np.square(1.1 * rays.half_length).astype(dtype)
-    kernel = 1.0 - squared / (denominator * limit)
-    kernel[(kernel < 0) | (denominator < reach * np.square(dirs[..., 2:]).astype(dtype))] = 0.0
+    blind = denominator < reach * np.square(dirs[..., 2:]).astype(dtype)
+    denominator *= limit
+    squared /= denominator
+    kernel = np.subtract(1.0, squared, out=squared)
+    np.maximum(kernel, 0.0, out=kernel)
+    kernel[blind] = 0.0
     return kernel
 
 
@@ -122,9 +128,18 @@ def single_directions(
     dirs = dirs[norm > 1e-4] / norm[norm > 1e-4, None]
     if not len(dirs):
         return np.zeros((0, 3))
-    support = agreement(rays, dirs, np.float32) @ rays.weight.astype(np.float32)
+    support = _votes(rays, dirs)
     peaks = refine_directions(rays, dirs[_peaks(dirs, support, 4 * count, apart_rad)])
     return peaks[_varied(agreement(rays, peaks) * rays.weight, count)]
+
+
+def _votes(rays: SegmentRays, dirs: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
+    """Length of the rays that agree with each direction, by their `agreement`, in single precision."""
+    votes = np.empty(len(dirs), np.float32)
+    weight = rays.weight.astype(np.float32)
+    for some in range(0, len(dirs), VOTED):
+        votes[some : some + VOTED] = agreement(rays, dirs[some : some + VOTED], np.float32) @ weight
+    return votes
 
 
 def _peaks(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -10,7 +11,7 @@ from scipy.sparse import csr_matrix
 
 from autoreg import residuals as terms
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
-from autoreg.joint_image import JointImage, Shape, with_looks
+from autoreg.joint_image import JointImage, Shape, Slopes, with_looks
 from autoreg.joint_pixels import JOINT, JointPixels
 from autoreg.refine import Fit
 from autoreg.tones import Blocks, tone_variances
@@ -24,7 +25,7 @@ FOREIGN = 4.0
 # Grey levels that even a drawn picture is off by.
 LEAST_NOISE = 0.05
 # Unknowns besides the tones of blocks: seven of the pose, three looks, the mean tones of slabs and of joints;
-# behind them the columns of what the drawing leaves out, which no step solves for.
+# behind them stand the columns of what the drawing leaves out, which no step solves for.
 LOOKS, MEANS, UNKNOWNS, DOUBTED = slice(7, 10), slice(10, 12), 12, 7
 
 
@@ -43,14 +44,17 @@ class State:
 class Step:
     """One Gauss-Newton step: where it led, its size in sigmas, and what cells' scores are made of.
 
-    `columns` are the pixels' derivatives by all unknowns and by what is doubted, then the grey levels; `sums`
-    and `solved` are the blocks' products with them and the tones that imitate them.
+    `image` and `slopes` are those that it was taken from. `columns` are the pixels' derivatives by all
+    unknowns, `sums` and `solved` the blocks' products with them and the tones that imitate them, with `ridge`
+    for what is known of the tones.
     """
 
     state: State
     free: Int[np.ndarray, " k"]
-    pixels: JointPixels
+    image: JointImage
+    slopes: Slopes
     blocks: Blocks
+    ridge: Float[np.ndarray, " t"]
     columns: Float[np.ndarray, "n p"]
     sums: Float[np.ndarray, "m t p"]
     solved: Float[np.ndarray, "m t p"]
@@ -78,8 +82,7 @@ def stepped(pixels: JointPixels, state: State) -> Step | None:
     share, weight = image.shares(), state.weight
     slopes = image.slopes(state.tones[pixels.block])
     means = 1.0 - share[:, JOINT], share[:, JOINT]
-    doubts = image.lopsided(), image.by_lens(slopes)
-    columns = np.column_stack([image.by_pose(slopes), slopes.by_looks, *means, *doubts, pixels.grey])
+    columns = np.column_stack([image.by_pose(slopes), slopes.by_looks, *means, pixels.grey])
     free = freed(state.fit)
     blocks = Blocks(pixels, share, weight)
     sums = blocks.sums(columns)
@@ -107,12 +110,26 @@ def stepped(pixels: JointPixels, state: State) -> Step | None:
     motion = np.where(free < MEANS.start, step[free], 0.0)
     sigmas = float(np.sqrt(motion @ information @ motion)) / noise
     moved = replace(moved, weight=_robust(left, noise, pixels.cell))
-    return Step(moved, free, pixels, blocks, columns, sums, solved, left, weight, sigmas)
+    own = columns[:, :-1], sums[..., :-1], solved[..., :-1]
+    return Step(moved, free, image, slopes, blocks, ridge, *own, left, weight, sigmas)
+
+
+def with_doubts(last: Step) -> Step:
+    """The same step with the columns of what the drawing leaves out."""
+    more = np.column_stack([last.image.lopsided(), last.image.by_lens(last.slopes)])
+    sums = last.blocks.sums(more)
+    return replace(
+        last,
+        columns=np.concatenate([last.columns, more], 1),
+        sums=np.concatenate([last.sums, sums], 2),
+        solved=np.concatenate([last.solved, last.blocks.solve(sums, last.ridge)], 2),
+    )
 
 
 def cell_scores(last: Step, free: Int[np.ndarray, " k"]) -> Float[np.ndarray, "c k"]:
     """Gradient of every cell's misfit by the unknowns, as far as no tone can imitate it."""
-    pixels, n = last.pixels, len(last.pixels)
+    pixels = last.image.pixels
+    n = len(pixels)
     gather = csr_matrix((last.weight * last.left, (pixels.cell, np.arange(n))), shape=(pixels.cells, n))
     imitated = np.einsum("mtk,mt->mk", last.solved[..., free], last.blocks.sums(last.left[:, None])[..., 0])
     scores = gather @ last.columns[:, free]
@@ -122,21 +139,22 @@ def cell_scores(last: Step, free: Int[np.ndarray, " k"]) -> Float[np.ndarray, "c
 
 def cell_information(last: Step, free: Int[np.ndarray, " k"]) -> Float[np.ndarray, "c k k"]:
     """What every cell tells of the unknowns; together that is the step's normal matrix."""
-    pixels, k = last.pixels, len(free)
+    pixels, k = last.image.pixels, len(free)
     order = np.argsort(pixels.cell, kind="stable")
-    ends = np.cumsum(np.bincount(pixels.cell, minlength=pixels.cells))[:-1]
+    sorted_columns = last.columns[order][:, free]
+    weighted = sorted_columns * last.weight[order, None]
+    ends = np.cumsum(np.bincount(pixels.cell, minlength=pixels.cells)).tolist()
     told = np.empty((pixels.cells, k, k))
-    for cell, rows in enumerate(np.split(order, ends)):
-        mine = last.columns[np.ix_(rows, free)]
-        told[cell] = (mine * last.weight[rows, None]).T @ mine
+    for cell, (start, end) in enumerate(pairwise([0, *ends])):
+        told[cell] = weighted[start:end].T @ sorted_columns[start:end]
     imitated = np.einsum("mtp,mtq->mpq", last.sums[..., free], last.solved[..., free])
     np.subtract.at(told, _cell_of_block(last), imitated)
     return told
 
 
 def _cell_of_block(last: Step) -> Int[np.ndarray, " m"]:
-    cell = np.zeros(last.blocks.count, dtype=np.int64)
-    cell[last.pixels.block] = last.pixels.cell
+    pixels, cell = last.image.pixels, np.zeros(last.blocks.count, dtype=np.int64)
+    cell[pixels.block] = pixels.cell
     return cell
 
 

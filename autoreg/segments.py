@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import cast
 
@@ -64,20 +65,32 @@ def detect_segments(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
     pixel centres and corners and so moves every segment by (-0.12, -0.12) px.
     """
     options = options or SegmentOptions()
+    # LSD lets other threads run, and the finest level takes as long as all others together.
+    with ThreadPoolExecutor(2) as pool:
+        levels = list(pool.map(lambda level: _detect_on_level(*level, options), _levels(gray, options)))
+    found = _empty()
+    for level in levels:
+        found = _merge(found, level)
+    order = np.argsort(-found.length_px, kind="stable")[: options.max_segments]
+    return found.take(order)
+
+
+def _levels(
+    gray: UInt8[np.ndarray, "h w"], options: SegmentOptions
+) -> list[tuple[UInt8[np.ndarray, "hs ws"], Float[np.ndarray, "2"], int]]:
+    """The pyramid: each level's picture, the size of its pixels in those of the photo, and its number."""
     height, width = gray.shape
     finest = min(1.0, float(np.sqrt(options.megapixels * 1e6 / (width * height))))
-    found, gray_level = _empty(), gray
+    levels: list[tuple[np.ndarray, np.ndarray, int]] = []
     for level in range(options.levels):
         scale = finest / 2**level
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         if min(size) < 64 and level > 0:
             break
-        if size != gray_level.shape[::-1]:
-            gray_level = cv2.resize(gray_level, size, interpolation=cv2.INTER_AREA)
-        px_per_level_px = np.array([width / size[0], height / size[1]])
-        found = _merge(found, _detect_on_level(gray_level, px_per_level_px, level, options))
-    order = np.argsort(-found.length_px, kind="stable")[: options.max_segments]
-    return found.take(order)
+        if size != gray.shape[::-1]:
+            gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+        levels.append((gray, np.array([width / size[0], height / size[1]]), level))
+    return levels
 
 
 def _empty() -> Segments:
