@@ -99,7 +99,9 @@ def _sharpness(points: _Points, R: np.ndarray, focal: float, axes: tuple[np.ndar
         part = bin_at[inside] - low
         w = weight[inside]
         size = len(axis) + 1
-        histogram = np.bincount(low, w * (1 - part), size) + np.bincount(low + 1, w * part, size)
+        # numpy counts nothing in whole numbers, whatever its weight.
+        histogram = np.bincount(low, w * (1 - part), size).astype(float)
+        histogram += np.bincount(low + 1, w * part, size)
         fine, smooth = (
             cv2.GaussianBlur(histogram[None], (0, 0), sigma, borderType=cv2.BORDER_REFLECT)
             for sigma in (1.0, 8.0)

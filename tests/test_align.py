@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import skimage.data
 from paved import CHECKER, HALF_BOND, STACK, THIRD_BOND, board_in_a_room, misses
 
 import autoreg
@@ -141,6 +142,18 @@ def test_ground_without_a_lattice_is_refused_by_name(gravel_photo: SyntheticPhot
     assert caught.value.code in {"no_lattice", "one_direction", "too_few_joints", "not_ground"}
     assert caught.value.exit_code == 3
     assert len(caught.value.message) > 40
+
+
+@pytest.mark.parametrize(
+    "name", ["brick", "chelsea", "coffee", "coins", "grass", "gravel", "page", "stereo_motorcycle", "text"]
+)
+def test_real_pictures_of_other_things_are_refused(name: str):
+    """Those that scikit-image brings along: a brick wall, a cat, a cup, coins, a scanned page, ..."""
+    loaded = getattr(skimage.data, name)()
+    picture = np.asarray(loaded[0] if isinstance(loaded, tuple) else loaded, np.uint8)
+    with pytest.raises(Refusal) as caught:
+        autoreg.align(picture[..., 2::-1] if picture.ndim == 3 else picture, None)
+    assert caught.value.code in {"no_lattice", "one_direction", "too_few_joints", "not_ground"}
 
 
 def test_a_blank_photo_is_refused_by_name():

@@ -57,3 +57,15 @@ def test_the_same_segments_give_the_same_orientation_twice(stack_photo: Syntheti
     once, again = (sharpen(segments, stack_photo.camera, start, free_focal=True) for _ in range(2))
     assert once[0] == again[0]
     assert (once[1] == again[1]).all()
+
+
+def test_segments_that_leave_the_ground_on_the_way_are_no_error(
+    stack_photo: SyntheticPhoto, segments: Segments
+):
+    """All of them above the horizon of a level camera: nothing is left to count."""
+    camera = stack_photo.camera
+    level = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    above = np.flatnonzero(segments.ends_px[..., 1].max(1) < 0.4 * camera.height)
+    found, R = sharpen(segments.take(above), camera, level, free_focal=True)
+    assert np.isfinite(R).all()
+    assert np.isfinite(found.fx)
