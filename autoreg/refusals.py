@@ -9,6 +9,7 @@ from autoreg.errors import Refusal
 from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.refine import Fit
+from autoreg.right_angles import Squared
 from autoreg.rows import Rows
 
 # A camera's focal length must differ by this much before it is blamed for a refusal.
@@ -87,6 +88,27 @@ def maybe_wall(fit: Fit) -> Refusal | None:
         measured=round(skew_deg, 2),
         limit=LEVEL_DEG,
     )
+
+
+def focal_untold(squared: Squared | None, limit: float) -> Refusal:
+    """The refusal of rows whose cross joints leave the focal length open, and with it the tilt of the ground.
+
+    `limit` is the largest standard deviation of its logarithm that will do.
+    """
+    told = "do not tell its focal length" if squared is None else _focal_of(squared)
+    return Refusal(
+        "ambiguous",
+        "the photo names no camera, and rows of slabs and the cross joints between them "
+        f"{told}, on which the tilt of the ground depends; give the camera with --camera, or photograph the "
+        "rows aslant, at about 45 degrees, and not steeply from above",
+        measured=None if squared is None else round(squared.sigma_log_focal, 3),
+        limit=limit,
+    )
+
+
+def _focal_of(squared: Squared) -> str:
+    focal, percent = squared.settled.fit.camera.fx, 100 * squared.sigma_log_focal
+    return f"tell its focal length only as {focal:.0f} px with a standard deviation of {percent:.0f} %"
 
 
 def _named(paving: Paving) -> str:

@@ -1,7 +1,8 @@
 """Rows: unbroken joints at an even spacing, with cross joints at right angles that follow no period.
 
-Random ashlar is the most common real paving. Its unbroken joints tell the pose; its cross joints only show
-that the ground is paved with slabs, not with boards, and give the frame a crossing to start from.
+Random ashlar is the most common real paving. Its unbroken joints tell the pose at a known focal length; its
+cross joints show that the ground is paved with slabs, not with boards, and give the frame a crossing to start
+from. What their right angles tell of an unknown focal length is another stage's matter.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import gammainc
 
+from autoreg.cross_joints import find_cross_joints
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned, with_origin
@@ -23,9 +24,6 @@ from autoreg.refine import Fit
 from autoreg.segments import Segments
 from autoreg.stations import ALONG_X, Grid
 
-# Cross joints lie this close to the right angle; segments that lie this far from either direction show how
-# many would by chance.
-RIGHT_RAD, OBLIQUE_RAD = np.radians(4.0), np.radians(15.0)
 # One family of lines holds fewer motions than two: single solves may not wander further than this.
 STEP_SIGMA = 0.004
 # Combs with less are not looked into.
@@ -37,14 +35,6 @@ ABSENT_P, MOST_MISSING = 0.3, 0.1
 MOST_GAPS = 0.3
 # Half slabs from one gap of a joint to the next, in herringbone of slabs of two and of three squares.
 GAP_PERIODS = (4, 6, 8, 12)
-
-
-@dataclass(frozen=True)
-class CrossJoints:
-    """Segments at right angles to the unbroken joints: where they lie, and their evidence against chance."""
-
-    middle: Float[np.ndarray, "n 2"]
-    evidence_nats: float
 
 
 @dataclass(frozen=True)
@@ -156,34 +146,3 @@ def _evenly_spaced(presence: Presence, field: Float[np.ndarray, "k 2"]) -> bool:
     missing = judged & (mean > ABSENT_P)
     enough = (judged & ~missing).sum() >= FEWEST_LINES
     return bool(enough and missing.sum() <= MOST_MISSING * judged.sum())
-
-
-def find_cross_joints(
-    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]
-) -> CrossJoints:
-    """Segments of the field at right angles to the unbroken joints, against those of any direction."""
-    camera = fit.camera.scaled(*size)
-    pose = fit.cam_from_ground
-    rays = camera.unproject(segments.ends_px.reshape(-1, 2)) @ pose.R
-    eye = pose.origin_in_a
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ground = (eye[:2] - rays[:, :2] * (eye[2] / rays[:, 2:])).reshape(-1, 2, 2)
-    down = (rays[:, 2] < -1e-3).reshape(-1, 2).all(1) & np.isfinite(ground).all((1, 2))
-    ground = ground[down]
-    middle = ground.mean(1)
-    low, high = field.min(0), field.max(0)
-    ground = ground[((middle > low) & (middle < high)).all(1)]
-    along = ground[:, 1] - ground[:, 0]
-    angle = np.abs(np.arctan2(along[:, 1], along[:, 0])) % np.pi
-    off_right = np.abs(angle - np.pi / 2)
-    # A cross joint lies between two unbroken ones, and is a good part of a row long.
-    length = np.linalg.norm(along, axis=1)
-    fair = (length > 0.3 * fit.grid.spacing_y) & (length < 1.4 * fit.grid.spacing_y)
-    right = fair & (off_right < RIGHT_RAD)
-    oblique = fair & (off_right > OBLIQUE_RAD) & (off_right < np.pi / 2 - OBLIQUE_RAD)
-    # A half observed besides keeps an empty field from proving anything.
-    expected = (oblique.sum() + 0.5) * RIGHT_RAD / (np.pi / 2 - 2 * OBLIQUE_RAD)
-    found = int(right.sum())
-    # The chance of as many or more in a Poisson distribution; scipy.stats would take half a second to import.
-    chance = float(gammainc(found, expected)) if found else 1.0
-    return CrossJoints(ground[right].mean(1), float(-np.log(max(chance, 1e-87))))

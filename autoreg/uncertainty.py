@@ -49,10 +49,10 @@ def settle(fit: Fit) -> Settled:
         grid=stretched(fit.grid, step),
         distances_px=fit.distances_px + fit.solution.jacobian @ estimate.parameters,
     )
-    return Settled(moved, _on_camera_side(estimate.covariance, pose), estimate.scatter)
+    return Settled(moved, on_camera_side(estimate.covariance, pose), estimate.scatter)
 
 
-def _on_camera_side(covariance: Float[np.ndarray, "p p"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
+def on_camera_side(covariance: Float[np.ndarray, "p p"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
     """The pose's part, where the solve's rotation turns the translation as well: t = exp(w) t0 + dt."""
     A = np.eye(6)
     A[3:, :3] = -_cross(pose.t)

@@ -9,9 +9,19 @@ from paved import STACK, fit_of, gray_of
 from autoreg.camera import Camera
 from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving
 from autoreg.presence import presence_of
-from autoreg.refusals import FEW_SIDES, ambiguous, camera_contradicted, maybe_wall, no_lattice
+from autoreg.refusals import (
+    FEW_SIDES,
+    ambiguous,
+    camera_contradicted,
+    focal_untold,
+    maybe_wall,
+    no_lattice,
+)
+from autoreg.right_angles import Squared
+from autoreg.slab_model import Scatter
 from autoreg.stations import Grid
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
+from autoreg.uncertainty import Settled
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +91,13 @@ def test_level_courses_seen_from_the_front_may_be_a_wall(
     if refusal is not None:
         assert refusal.code == "not_ground"
         assert "wall" in refusal.message
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_rows_that_leave_the_focal_length_open_say_how_far_and_ask_for_the_camera(paving: Paving, told: bool):
+    settled = Settled(paving.fit, np.eye(6), Scatter(0.0, 0.0, 0.0, 0.0, 1.0))
+    refusal = focal_untold(Squared(settled, 0.213, np.zeros(2)) if told else None, 0.05)
+    assert (refusal.code, refusal.measured, refusal.limit) == ("ambiguous", 0.213 if told else None, 0.05)
+    assert "--camera" in refusal.message
+    assert ("21 %" in refusal.message) == told
+    assert (f"{paving.fit.camera.fx:.0f} px" in refusal.message) == told

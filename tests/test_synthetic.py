@@ -195,6 +195,19 @@ def test_crossings_of_a_third_bond_follow_the_written_order():
     assert np.all((px >= 5) & (px <= [474, 354]))
 
 
+def test_the_cross_joints_of_rows_lean_as_asked_about_their_middles():
+    above = look_at_ground(pitch_deg=90.0, height_m=2.0)
+    scene = replace(PLAIN, kind="rows", cam_from_ground=above, spacing_m=(0.6, 0.4))
+    straight, leaning = (render_paving(replace(scene, lean_rad=np.arctan(lean))) for lean in (0.0, 0.2))
+    steps = np.arange(-12, 13)
+    for away in (-0.1, 0.0, 0.1):
+        # Between two unbroken joints the cross joints are all that is dark.
+        v = round(float(straight.project(np.array([[0.0, 0.2 + away]]))[0, 1]))
+        before, after = straight.pixels[v].astype(float), leaning.pixels[v].astype(float)
+        alike = [np.corrcoef(np.roll(before, k)[20:-20], after[20:-20])[0, 1] for k in steps]
+        assert steps[int(np.argmax(alike))] == pytest.approx(0.2 * away * scene.camera.fx / 2.0, abs=1.0)
+
+
 def test_rows_have_no_crossings_to_ask_for():
     with pytest.raises(ValueError, match="period along X and Y"):
         render_paving(replace(PLAIN, kind="rows")).crossings()

@@ -55,6 +55,10 @@ class Ground:
         # Ends of the random slabs of a "rows" field: a sorted run of lengths per row, repeated along X.
         lengths = rng.uniform(0.5, 1.5, (TABLE, 32)) * scene.spacing_m[0]
         self._ends = np.cumsum(lengths, 1)
+        turns = rng.spawn(1)[0].standard_normal((TABLE, 32))
+        self._lean = np.tan(scene.lean_rad + scene.turn_rad * turns)
+        # The last one is where the run is repeated.
+        self._lean[:, -1] = 0.0
 
     def tone(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
         """Grey levels of ground samples whose footprints are `width` wide."""
@@ -107,6 +111,7 @@ class Ground:
         along = comb_coverage(y, width_y, b, joint)
         ends = self._ends[j % TABLE]
         turn = np.mod(x, ends[..., -1])
+        ends = ends + self._lean[j % TABLE] * (y - (j + 0.5) * b)[..., None]
         i = np.sum(ends <= turn[..., None], axis=-1)
         left = np.where(i > 0, np.take_along_axis(ends, np.maximum(i - 1, 0)[..., None], -1)[..., 0], 0.0)
         right = np.take_along_axis(ends, i[..., None], -1)[..., 0]

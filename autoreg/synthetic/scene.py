@@ -43,6 +43,8 @@ class SyntheticScene:
         texture: standard deviation of the stone's texture, relative.
         jitter_m: standard deviation of each slab's place along X and along Y; it must stay under a fifth of
             the joint's width, so that slabs do not touch.
+        turn_rad: standard deviation of the direction of each cross joint of "rows".
+        lean_rad: what all cross joints of "rows" are off square by, towards +X.
         shadows: number of cast shadows (hard edges, three sides).
         shade: tone in the shadow, relative.
         clutter: number of flat discs and boxes that lie on the ground.
@@ -65,6 +67,8 @@ class SyntheticScene:
     tone_spread: float = 0.04
     texture: float = 0.03
     jitter_m: float = 0.0
+    turn_rad: float = 0.0
+    lean_rad: float = 0.0
     shadows: int = 0
     shade: float = 0.45
     clutter: int = 0

@@ -1,0 +1,129 @@
+"""Cross joints between rows: segments square to the unbroken joints, and how far off square each is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.special import gammainc
+
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid
+from autoreg.refine import Fit
+from autoreg.segments import Segments
+
+# Cross joints lie this close to the right angle; segments that lie this far from either direction show how
+# many would by chance.
+RIGHT_RAD, OBLIQUE_RAD = np.radians(4.0), np.radians(15.0)
+# Length of a cross joint's segments, in widths of a row.
+SHORTEST, LONGEST = 0.3, 1.4
+# Segments this close along a row, in its widths, are of one joint: they are its edges, or parts of them.
+ONE_JOINT = 0.15
+
+
+@dataclass(frozen=True)
+class CrossJoints:
+    """Segments at right angles to the unbroken joints: where they lie, and their evidence against chance."""
+
+    middle: Float[np.ndarray, "n 2"]
+    evidence_nats: float
+
+
+@dataclass(frozen=True)
+class OffSquare:
+    """Segments of cross joints: how far each is off square in radians, and the noise of that by its ends.
+
+    `joint` numbers the joint that each is of; a positive angle leads a segment away from the camera to +X.
+    """
+
+    ends_px: Float[np.ndarray, "n 2 2"]
+    middle: Float[np.ndarray, "n 2"]
+    angle: Float[np.ndarray, " n"]
+    noise: Float[np.ndarray, " n"]
+    joint: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        return len(self.angle)
+
+
+def find_cross_joints(
+    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]
+) -> CrossJoints:
+    """Segments of the field at right angles to the unbroken joints, against those of any direction."""
+    ground = _in_field(segments, fit.camera.scaled(*size), fit, field)[1]
+    along = ground[:, 1] - ground[:, 0]
+    angle = np.abs(np.arctan2(along[:, 1], along[:, 0])) % np.pi
+    off_right = np.abs(angle - np.pi / 2)
+    right = off_right < RIGHT_RAD
+    oblique = (off_right > OBLIQUE_RAD) & (off_right < np.pi / 2 - OBLIQUE_RAD)
+    # A half observed besides keeps an empty field from proving anything.
+    expected = (oblique.sum() + 0.5) * RIGHT_RAD / (np.pi / 2 - 2 * OBLIQUE_RAD)
+    found = int(right.sum())
+    # The chance of as many or more in a Poisson distribution; scipy.stats would take half a second to import.
+    chance = float(gammainc(found, expected)) if found else 1.0
+    return CrossJoints(ground[right].mean(1), float(-np.log(max(chance, 1e-87))))
+
+
+def off_square(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], within_rad: float) -> OffSquare:
+    """The field's segments that are off the right angle by less than `within_rad`.
+
+    Both ends' noise is taken as independent; the fit is at the photo's own resolution.
+    """
+    camera, pose = fit.camera, fit.cam_from_ground
+    index, ground = _in_field(segments, camera, fit, field)
+    angle = off_angle(ground)
+    near = np.abs(angle) < within_rad
+    index, ground, angle = index[near], ground[near], angle[near]
+    ends_px = segments.ends_px[index]
+    across = ends_px[:, 1] - ends_px[:, 0]
+    across = across[:, ::-1] * [-1.0, 1.0] / np.linalg.norm(across, axis=1, keepdims=True)
+    moved = np.stack([ends_px, ends_px])
+    moved[0, :, 0] += across
+    moved[1, :, 1] += across
+    by_end = np.stack([off_angle(on_ground(ends, camera, pose)) for ends in moved]) - angle
+    noise = segments.sigma_px[index] * np.hypot(*by_end)
+    middle = ground.mean(1)
+    return OffSquare(ends_px, middle, angle, noise, _joints(middle, fit.grid.spacing_y))
+
+
+def off_angle(ground: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:
+    """Angle of each segment from the Y axis, between -pi/2 and pi/2, growing towards +X."""
+    along = ground[:, 1] - ground[:, 0]
+    return np.arctan(along[:, 0] / np.where(along[:, 1] == 0, 1e-300, along[:, 1]))
+
+
+def on_ground(
+    px: Float[np.ndarray, "*n 2"], camera: Camera, cam_from_ground: Rigid
+) -> Float[np.ndarray, "*n 2"]:
+    """Ground points under pixels; NaN where no ground is seen."""
+    rays = camera.unproject(px) @ cam_from_ground.R
+    eye = cam_from_ground.origin_in_a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ground = eye[:2] - rays[..., :2] * (eye[2] / rays[..., 2:])
+    return np.where(rays[..., 2:] < -1e-3, ground, np.nan)
+
+
+def _in_field(
+    segments: Segments, camera: Camera, fit: Fit, field: Float[np.ndarray, "k 2"]
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2 2"]]:
+    """Index and ground ends of the field's segments that are as long as a cross joint may be.
+
+    A cross joint lies between two unbroken ones, and is a good part of a row long.
+    """
+    ground = on_ground(segments.ends_px, camera, fit.cam_from_ground)
+    middle = ground.mean(1)
+    length = np.linalg.norm(ground[:, 1] - ground[:, 0], axis=1) / fit.grid.spacing_y
+    inside = ((middle > field.min(0)) & (middle < field.max(0))).all(1)
+    index = np.flatnonzero(inside & (length > SHORTEST) & (length < LONGEST))
+    return index, ground[index]
+
+
+def _joints(middle: Float[np.ndarray, "n 2"], across: float) -> Int[np.ndarray, " n"]:
+    """Which joint each segment is of: those of a row that follow each other closely are of one."""
+    row = np.floor(middle[:, 1] / across)
+    order = np.lexsort((middle[:, 0], row))
+    new = (np.diff(row[order]) != 0) | (np.diff(middle[order, 0]) > ONE_JOINT * across)
+    joint = np.empty(len(middle), dtype=np.int64)
+    joint[order] = np.concatenate([[0], np.cumsum(new)])[: len(middle)]
+    return joint

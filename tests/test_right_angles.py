@@ -1,0 +1,237 @@
+"""Rows tell the focal length by their cross joints' right angles, and say how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from paved import gray_of
+
+from autoreg.align import EXIF_FOCAL_SIGMA, MOST_FOCAL_SIGMA, align
+from autoreg.camera import Camera
+from autoreg.cross_joints import off_angle, off_square, on_ground
+from autoreg.errors import Refusal
+from autoreg.freedom import Free
+from autoreg.geometry import Rigid, angle_between_rotations, vector_from_rotation
+from autoreg.image import as_gray
+from autoreg.refine import Fit, refine_until_still
+from autoreg.right_angles import SHARED_RAD, Squared, square_up
+from autoreg.rows import STEP_SIGMA
+from autoreg.segments import Segments, detect_segments
+from autoreg.stations import Grid, project_ground
+from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
+
+PITCH, HEADING = np.deg2rad([36.0, 40.0])
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What differs between the photos of these tests; degrees, pixels off the middle, radians."""
+
+    heading: float = 40.0
+    seed: int = 3
+    off_x: float = 0.0
+    off_y: float = 0.0
+    lean: float = 0.0
+
+    @property
+    def scene(self) -> SyntheticScene:
+        return SyntheticScene(
+            camera=Camera(800, 600, 700.0, 700.0, 399.5 + self.off_x, 299.5 + self.off_y),
+            cam_from_ground=look_at_ground(
+                pitch_deg=36.0, height_m=1.6, heading_deg=self.heading, foot_m=(0.13, 0.21)
+            ),
+            kind="rows",
+            spacing_m=(0.5, 0.3),
+            joint_width_m=0.012,
+            turn_rad=0.006,
+            lean_rad=self.lean,
+            colour=False,
+            seed=self.seed,
+        )
+
+
+# The rows of the second run nearly along the view: their cross joints are square at any focal length.
+ASLANT, AWAY = Shot(), Shot(heading=88.0)
+CAMERA, POSE = ASLANT.scene.camera, ASLANT.scene.cam_from_ground
+# The paving that is looked at, in pixels.
+FIELD_PX = np.array([[10.0, 590.0], [790.0, 590.0], [790.0, 120.0], [10.0, 120.0]])
+
+
+KNOWN = Free(
+    focal=True,
+    centre=True,
+    radial=True,
+    nominal=Camera.from_focal(800, 600, 800.0),
+    focal_sigma=0.5,
+    centre_sigma_px=0.012 * 800,
+    radial_sigma=0.1,
+)
+
+
+def with_camera(other: Camera, camera: Camera, pose: Rigid) -> Rigid:
+    """The pose that leaves rows where they are in the picture when another camera is taken for the true."""
+    A = np.linalg.inv(other.K) @ camera.K
+    x, up = A @ pose.R[:, 0], np.linalg.inv(A).T @ pose.R[:, 2]
+    x, up = x / np.linalg.norm(x), up / np.linalg.norm(up)
+    R = np.column_stack([x, np.cross(up, x), up])
+    # Where two rows are seen tells the height, and the place across them.
+    px = project_ground(camera, pose, pose.origin_in_a[:2] + pose.R[2, :2] * np.array([[1.0], [2.0]]))
+    rows = on_ground(px, camera, pose)[:, 1]
+    seen = on_ground(px, other, Rigid(R, R @ [0.0, 0.0, -1.0]))[:, 1]
+    height = float(np.diff(rows)[0] / np.diff(seen)[0])
+    return Rigid(R, -R @ [0.0, rows[0] - height * seen[0], height])
+
+
+def longer(camera: Camera, factor: float) -> Camera:
+    return replace(camera, fx=factor * camera.fx, fy=factor * camera.fy)
+
+
+@cache
+def photo_of(shot: Shot) -> SyntheticPhoto:
+    return render_paving(shot.scene)
+
+
+@cache
+def segments_of(shot: Shot) -> Segments:
+    return detect_segments(as_gray(photo_of(shot).pixels))
+
+
+def field_of(camera: Camera, pose: Rigid) -> np.ndarray:
+    return on_ground(FIELD_PX, camera, pose)
+
+
+@cache
+def fitted(shot: Shot, factor: float) -> Fit:
+    """The fit of the rows with a wrong focal length, and the principal point in the middle."""
+    photo = photo_of(shot)
+    camera = Camera.from_focal(800, 600, factor * photo.camera.fx)
+    pose = with_camera(camera, photo.camera, photo.cam_from_ground)
+    fit = refine_until_still(
+        gray_of(photo), camera, pose, Grid(None, 0.3),
+        free=Free(step_sigma=STEP_SIGMA), search=0.05, reach=12.0, field=field_of(camera, pose),
+    )  # fmt: skip
+    assert fit is not None
+    return fit
+
+
+@cache
+def squared(shot: Shot, factor: float = 1.04) -> Squared:
+    found = square(shot, segments_of(shot), factor)
+    assert found is not None
+    return found
+
+
+def square(shot: Shot, segments: Segments, factor: float) -> Squared | None:
+    fit = fitted(shot, factor)
+    field = field_of(fit.camera, fit.cam_from_ground)
+    return square_up(gray_of(photo_of(shot)), fit, segments, field, KNOWN, 12.0)
+
+
+def turn_between(found: Rigid, truth: Rigid) -> np.ndarray:
+    """Rotation vector between two poses, the shorter of the two that half a turn of the ground leaves."""
+    halves = (np.diag([s, s, 1.0]) for s in (1.0, -1.0))
+    turns = [vector_from_rotation(found.R @ (truth.R @ half).T) for half in halves]
+    return min(turns, key=lambda w: float(np.linalg.norm(w)))
+
+
+@pytest.mark.parametrize("factor", [0.98, 1.01, 1.03])
+def test_another_focal_length_leans_all_cross_joints_alike_by_what_pitch_and_heading_say(factor: float):
+    camera, pose = CAMERA, POSE
+    y = np.array([1.2, 1.5])
+    square = np.array([[[x, y[0]], [x, y[1]]] for x in (-1.5, -0.5, 0.4)])
+    px = project_ground(camera, pose, square)
+    other = longer(camera, factor)
+    angle = off_angle(on_ground(px, other, with_camera(other, camera, pose)))
+    assert np.ptp(angle) < 1e-9
+    # The heading is that of the view against +Y, the square direction.
+    expected = np.cos(PITCH) ** 2 * np.sin(2 * HEADING) * np.log(factor)
+    assert abs(angle[0]) == pytest.approx(abs(expected), rel=0.05)
+
+
+def test_both_edges_of_a_cross_joint_are_one_joint_and_lie_square_at_the_true_camera():
+    fit = fitted(ASLANT, 1.0)
+    field = field_of(fit.camera, fit.cam_from_ground)
+    seen = off_square(segments_of(ASLANT), fit, field, np.radians(6.0))
+    joints = len(np.unique(seen.joint))
+    assert joints > 30
+    assert len(seen) > 1.4 * joints
+    for joint in range(joints):
+        middle = seen.middle[seen.joint == joint]
+        assert np.ptp(middle[:, 0]) < 0.2 * 0.3
+    # Each joint is turned by 6 mrad, and its segments are short.
+    assert abs(float(np.median(seen.angle))) < 3.0 * 0.006 / np.sqrt(joints)
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.04, 1.15])
+def test_the_true_focal_length_is_found_from_any_that_is_about_right(factor: float):
+    found = squared(ASLANT, factor)
+    off = np.log(found.settled.fit.camera.fx / CAMERA.fx)
+    assert abs(off) < 2.5 * found.sigma_log_focal
+    assert found.sigma_log_focal < 0.04
+    # Wherever it begins, the same evidence leads to the same answer.
+    same = np.log(found.settled.fit.camera.fx / squared(ASLANT).settled.fit.camera.fx)
+    assert abs(same) < 0.5 * found.sigma_log_focal
+
+
+def test_the_stated_uncertainty_is_that_of_the_errors():
+    focal, turn = [], []
+    random = np.random.default_rng(5)
+    for seed in range(8):
+        x, y = random.normal(0.0, KNOWN.centre_sigma_px, 2)
+        shot = Shot(40.0, 40 + seed, float(x), float(y), float(random.normal(0.0, SHARED_RAD)))
+        found = squared(shot)
+        fit, truth = found.settled.fit, photo_of(shot)
+        focal.append(np.log(fit.camera.fx / truth.camera.fx) / found.sigma_log_focal)
+        error = turn_between(fit.cam_from_ground, truth.cam_from_ground)
+        turn.append(error / np.sqrt(np.diag(found.settled.covariance)[:3]))
+    assert 0.4 < np.sqrt(np.mean(np.square(focal))) < 1.6
+    assert 0.4 < np.sqrt(np.mean(np.square(turn))) < 1.6
+
+
+def test_what_all_cross_joints_may_share_bounds_the_focal_length():
+    least = SHARED_RAD / (np.cos(PITCH) ** 2 * np.sin(2 * HEADING))
+    assert squared(ASLANT).sigma_log_focal > least
+
+
+def test_rows_that_run_away_from_the_camera_leave_the_focal_length_open():
+    assert squared(AWAY).sigma_log_focal > 0.15
+
+
+def test_unbroken_joints_alone_lead_nowhere():
+    assert square(ASLANT, segments_of(ASLANT).take(np.arange(5)), 1.0) is None
+
+
+def test_an_aligned_photo_of_rows_carries_the_uncertainty_of_its_focal_length():
+    found = align(photo_of(ASLANT).pixels, None, slab=(0.3, 0.3))
+    assert found.lattice.kind == "rows"
+    assert found.camera.source == "photo"
+    focal, sigma = found.camera.focal_from_photo_px, found.camera.focal_from_photo_sigma_px
+    assert focal is not None
+    assert sigma is not None
+    assert focal == found.camera.camera.fx
+    assert abs(focal - CAMERA.fx) < 2.5 * sigma
+    assert sigma < MOST_FOCAL_SIGMA * focal
+    pose = found.pose
+    error = turn_between(pose.cam_from_ground, POSE)
+    assert (np.abs(error) < 3.0 * np.sqrt(np.diag(pose.covariance)[:3])).all()
+    # With the camera the same pose is known far better.
+    given = align(photo_of(ASLANT).pixels, CAMERA, slab=(0.3, 0.3)).pose
+    spread = [float(np.sqrt(np.trace(p.covariance[:3, :3]))) for p in (pose, given)]
+    assert spread[0] > 10 * spread[1]
+    between = angle_between_rotations(given.cam_from_ground.R, pose.cam_from_ground.R)
+    assert between < 4 * spread[0]
+
+
+def test_a_photo_whose_rows_leave_it_open_is_refused_and_asks_for_the_camera():
+    with pytest.raises(Refusal) as refused:
+        align(photo_of(AWAY).pixels, None)
+    reason = refused.value
+    assert reason.code == "ambiguous"
+    assert reason.limit == MOST_FOCAL_SIGMA == EXIF_FOCAL_SIGMA
+    assert reason.measured is not None
+    assert reason.measured > MOST_FOCAL_SIGMA
+    assert "--camera" in reason.message
+    assert align(photo_of(AWAY).pixels, AWAY.scene.camera).lattice.kind == "rows"
