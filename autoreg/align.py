@@ -48,6 +48,9 @@ EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA = 0.05, 0.5, 0.012
 # Rows must tell a focal length as well as EXIF does. It enters the tilt by sin(pitch) cos(pitch) at most, so
 # that the tilt is within 3 degrees of the truth in 95 of 100 photos at the least.
 MOST_FOCAL_SIGMA = 0.05
+# Slabs tell the tilt in any case. Their camera's height goes with the focal length: where it may be wrong by
+# half, the photo has not told it.
+MOST_SLABS_FOCAL_SIGMA = 0.25
 REACH = 12.0
 # Half width of the first search at full resolution, in slab sides; and how often a shift may be corrected.
 FIRST_SEARCH, MOST_SHIFTS = 0.04, 3
@@ -141,8 +144,11 @@ def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, know
         Refusal: they tell it too little for a pose.
     """
     squared = square_up(picture, fit, segments, field_polygon(found.paving.presence), known, REACH)
-    if squared is None or squared.sigma_log_focal > MOST_FOCAL_SIGMA:
-        raise focal_untold(squared, MOST_FOCAL_SIGMA)
+    if squared is None:
+        raise focal_untold("rows", None, np.inf, MOST_FOCAL_SIGMA)
+    if squared.sigma_log_focal > MOST_FOCAL_SIGMA:
+        focal_px = squared.settled.fit.camera.fx
+        raise focal_untold("rows", focal_px, squared.sigma_log_focal, MOST_FOCAL_SIGMA)
     return squared
 
 
@@ -191,10 +197,12 @@ def _concluded(
     # A camera that comes from the joints themselves is nothing that they could contradict.
     asked = None if source == "photo" else picture
     check = check_camera(fit, asked, field, last.scatter)
-    fit = last.fit
+    fit, told = last.fit, fit.grid.spacing_x is not None
+    if source == "photo" and told and check.focal_sigma_px > MOST_SLABS_FOCAL_SIGMA * check.focal_px:
+        sigma = check.focal_sigma_px / check.focal_px
+        raise focal_untold("slabs", fit.camera.fx, sigma, MOST_SLABS_FOCAL_SIGMA)
     scale, scale_source = metric_scale(fit, slab, camera_height)
     frame = canonical_frame(fit, settled.presence, crossing)
-    told = fit.grid.spacing_x is not None
     pose = frame.pose(fit.cam_from_ground)
     units = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
     covariance = frame.covariance(last.covariance, fit.cam_from_ground)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
 from autoreg.camera import Camera
@@ -9,7 +11,6 @@ from autoreg.errors import Refusal
 from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.refine import Fit
-from autoreg.right_angles import Squared
 from autoreg.rows import Rows
 
 # A camera's focal length must differ by this much before it is blamed for a refusal.
@@ -90,25 +91,36 @@ def maybe_wall(fit: Fit) -> Refusal | None:
     )
 
 
-def focal_untold(squared: Squared | None, limit: float) -> Refusal:
-    """The refusal of rows whose cross joints leave the focal length open, and with it the tilt of the ground.
+def focal_untold(
+    kind: Literal["rows", "slabs"], focal_px: float | None, sigma_log_focal: float, limit: float
+) -> Refusal:
+    """The refusal of paving that leaves the focal length open, and with it the camera's tilt or its height.
 
-    `limit` is the largest standard deviation of its logarithm that will do.
+    Args:
+        kind: rows, or slabs with both of their spacings.
+        focal_px: the likeliest focal length, if there is any.
+        sigma_log_focal: standard deviation of its logarithm.
+        limit: the largest one that will do.
     """
-    told = "do not tell its focal length" if squared is None else _focal_of(squared)
+    what, depends, instead = {
+        "rows": (
+            "rows of slabs and the cross joints between them",
+            "the tilt of the ground",
+            "the rows aslant, at about 45 degrees, and not",
+        ),
+        "slabs": ("joints that hardly run together", "the height of the camera", "the ground less"),
+    }[kind]
+    told = "do not tell its focal length"
+    if focal_px is not None:
+        percent = 100 * sigma_log_focal
+        told = f"tell its focal length only as {focal_px:.0f} px with a standard deviation of {percent:.0f} %"
     return Refusal(
         "ambiguous",
-        "the photo names no camera, and rows of slabs and the cross joints between them "
-        f"{told}, on which the tilt of the ground depends; give the camera with --camera, or photograph the "
-        "rows aslant, at about 45 degrees, and not steeply from above",
-        measured=None if squared is None else round(squared.sigma_log_focal, 3),
+        f"the photo names no camera, and {what} {told}, on which {depends} depends; give the camera with "
+        f"--camera, or photograph {instead} steeply from above",
+        measured=None if focal_px is None else round(sigma_log_focal, 3),
         limit=limit,
     )
-
-
-def _focal_of(squared: Squared) -> str:
-    focal, percent = squared.settled.fit.camera.fx, 100 * squared.sigma_log_focal
-    return f"tell its focal length only as {focal:.0f} px with a standard deviation of {percent:.0f} %"
 
 
 def _named(paving: Paving) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -65,9 +65,9 @@ def detect_segments(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
     pixel centres and corners and so moves every segment by (-0.12, -0.12) px.
     """
     options = options or SegmentOptions()
-    # LSD lets other threads run, and the finest level takes as long as all others together.
+    # LSD lets other threads run, and the finest level takes longer than all others together.
     with ThreadPoolExecutor(2) as pool:
-        levels = list(pool.map(lambda level: _detect_on_level(*level, options), _levels(gray, options)))
+        levels = list(pool.map(lambda level: _detect_on_level(level, options), _levels(gray, options)))
     found = _empty()
     for level in levels:
         found = _merge(found, level)
@@ -75,13 +75,19 @@ def detect_segments(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
     return found.take(order)
 
 
-def _levels(
-    gray: UInt8[np.ndarray, "h w"], options: SegmentOptions
-) -> list[tuple[UInt8[np.ndarray, "hs ws"], Float[np.ndarray, "2"], int]]:
-    """The pyramid: each level's picture, the size of its pixels in those of the photo, and its number."""
+class _Level(NamedTuple):
+    """A picture of the pyramid, the size of its pixels in those of the photo, and its number."""
+
+    gray: UInt8[np.ndarray, "h w"]
+    px_per_level_px: Float[np.ndarray, "2"]
+    number: int
+
+
+def _levels(gray: UInt8[np.ndarray, "h w"], options: SegmentOptions) -> list[_Level]:
+    """The pyramid, its finest level first."""
     height, width = gray.shape
     finest = min(1.0, float(np.sqrt(options.megapixels * 1e6 / (width * height))))
-    levels: list[tuple[np.ndarray, np.ndarray, int]] = []
+    levels: list[_Level] = []
     for level in range(options.levels):
         scale = finest / 2**level
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
@@ -89,7 +95,7 @@ def _levels(
             break
         if size != gray.shape[::-1]:
             gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
-        levels.append((gray, np.array([width / size[0], height / size[1]]), level))
+        levels.append(_Level(gray, np.array([width / size[0], height / size[1]]), level))
     return levels
 
 
@@ -97,26 +103,21 @@ def _empty() -> Segments:
     return Segments(np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, int))
 
 
-def _detect_on_level(
-    gray: UInt8[np.ndarray, "h w"],
-    px_per_level_px: Float[np.ndarray, "2"],
-    level: int,
-    options: SegmentOptions,
-) -> Segments:
+def _detect_on_level(level: _Level, options: SegmentOptions) -> Segments:
     # Averaging takes out noise, so a coarser level may ask for less contrast: soft or worn joints show there.
-    step = LSD_GRADIENT_STEP / np.sqrt(2.0) ** level
+    step = LSD_GRADIENT_STEP / np.sqrt(2.0) ** level.number
     detector = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD, 1.0, 0.6, step)
     # None where nothing is found, (N, 1, 4) in OpenCV 4, (N, 4) in OpenCV 5.
-    lines = cast("np.ndarray | None", detector.detect(gray)[0])
+    lines = cast("np.ndarray | None", detector.detect(level.gray)[0])
     if lines is None:
         return _empty()
     ends = np.asarray(lines, float).reshape(-1, 2, 2)
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     keep = length >= options.min_length_px
     ends, length = ends[keep], length[keep]
-    sigma = _end_sigma(length) * float(px_per_level_px.mean())
+    sigma = _end_sigma(length) * float(level.px_per_level_px.mean())
     # Pixel centres of two levels agree only at the corners of the pictures: half a pixel in, half out.
-    return Segments((ends + 0.5) * px_per_level_px - 0.5, sigma, np.full(len(ends), level))
+    return Segments((ends + 0.5) * level.px_per_level_px - 0.5, sigma, np.full(len(ends), level.number))
 
 
 def _end_sigma(length: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

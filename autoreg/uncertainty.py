@@ -117,18 +117,22 @@ def check_camera(
                 fit, both = freed, motion
             if both.scatter.place < 0.5 * before:
                 break
-    log_focal, sigma = _focal_alone(both)
+    log_focal, sigma = _focal_alone(both, fit.free.centre_sigma_px if fit.free.centre else 0.0)
     focal = fit.camera.fx * float(np.exp(log_focal))
     consistent = chi_square < CONTRADICTION
     return CameraCheck(consistent, focal, focal * sigma, float(shift[0]), shift[1:], chi_square)
 
 
-def _focal_alone(both: Estimate) -> tuple[float, float]:
-    """Logarithm of the focal length's change and its sigma, with the principal point where it is."""
+def _focal_alone(both: Estimate, centre_sigma_px: float) -> tuple[float, float]:
+    """Logarithm of the focal length's change and its sigma, with the principal point where it is.
+
+    Where that is known to `centre_sigma_px` only, what it would change is uncertainty of the focal length.
+    """
     C, x = both.covariance, both.parameters
     pull = np.linalg.solve(C[terms.CENTRE, terms.CENTRE], C[terms.CENTRE, terms.FOCAL])
     variance = C[terms.FOCAL, terms.FOCAL] - pull @ C[terms.CENTRE, terms.FOCAL]
-    return float(x[terms.FOCAL] - pull @ x[terms.CENTRE]), float(np.sqrt(max(variance, 0.0)))
+    sigma = float(np.hypot(np.sqrt(max(variance, 0.0)), centre_sigma_px * np.linalg.norm(pull)))
+    return float(x[terms.FOCAL] - pull @ x[terms.CENTRE]), sigma
 
 
 def _free_camera(fit: Fit) -> Free:

@@ -136,6 +136,27 @@ def test_without_a_camera_the_photos_own_joints_tell_its_focal_length():
     assert angle_deg < 1.5
 
 
+def test_a_focal_length_from_the_joints_allows_for_the_unknown_principal_point():
+    """A few pixels from the middle, which no photo tells, move the focal length by a per cent."""
+    plain = STACK.camera
+    camera = replace(plain, cx=plain.cx + 0.012 * plain.width, cy=plain.cy - 0.012 * plain.width)
+    photo = render_paving(replace(STACK, camera=camera))
+    found = autoreg.align(photo.pixels, None, slab=STACK.spacing_m).camera
+    assert found.focal_from_photo_px is not None
+    assert found.focal_from_photo_sigma_px is not None
+    assert abs(found.focal_from_photo_px - camera.fx) < 3.0 * found.focal_from_photo_sigma_px
+    assert found.focal_from_photo_sigma_px < 0.05 * camera.fx
+
+
+def test_slabs_seen_from_straight_above_do_not_tell_the_height_of_an_unknown_camera():
+    board = skimage.data.checkerboard()
+    with pytest.raises(Refusal, match="--camera") as caught:
+        autoreg.align(board, None)
+    assert caught.value.code == "ambiguous"
+    found = autoreg.align(board, Camera.from_focal(200, 200, 300.0), slab=(0.25, 0.25))
+    assert found.pose.cam_from_ground.origin_in_a[2] == pytest.approx(3.0, rel=0.01)
+
+
 def test_ground_without_a_lattice_is_refused_by_name(gravel_photo: SyntheticPhoto):
     with pytest.raises(Refusal) as caught:
         autoreg.align(gravel_photo.pixels, gravel_photo.camera, slab=(0.4, 0.4))

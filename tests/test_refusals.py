@@ -17,11 +17,8 @@ from autoreg.refusals import (
     maybe_wall,
     no_lattice,
 )
-from autoreg.right_angles import Squared
-from autoreg.slab_model import Scatter
 from autoreg.stations import Grid
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
-from autoreg.uncertainty import Settled
 
 
 @pytest.fixture(scope="module")
@@ -93,11 +90,12 @@ def test_level_courses_seen_from_the_front_may_be_a_wall(
         assert "wall" in refusal.message
 
 
+@pytest.mark.parametrize("kind", ["rows", "slabs"])
 @pytest.mark.parametrize("told", [True, False])
-def test_rows_that_leave_the_focal_length_open_say_how_far_and_ask_for_the_camera(paving: Paving, told: bool):
-    settled = Settled(paving.fit, np.eye(6), Scatter(0.0, 0.0, 0.0, 0.0, 1.0))
-    refusal = focal_untold(Squared(settled, 0.213, np.zeros(2)) if told else None, 0.05)
+def test_paving_that_leaves_the_focal_length_open_says_how_far_and_asks_for_the_camera(kind, told):
+    refusal = focal_untold(kind, 1234.0 if told else None, 0.213 if told else np.inf, 0.05)
     assert (refusal.code, refusal.measured, refusal.limit) == ("ambiguous", 0.213 if told else None, 0.05)
     assert "--camera" in refusal.message
     assert ("21 %" in refusal.message) == told
-    assert (f"{paving.fit.camera.fx:.0f} px" in refusal.message) == told
+    assert ("1234 px" in refusal.message) == told
+    assert ("rows" in refusal.message) == (kind == "rows")
