@@ -60,7 +60,8 @@ def _tilted(scene: SyntheticScene, tilt_deg: float) -> SyntheticScene:
 
 
 def _bent(scene: SyntheticScene, k1: float) -> SyntheticScene:
-    return replace(scene, camera=replace(scene.camera, dist=(k1, *scene.camera.dist[1:])))
+    """With a second coefficient as real lenses have it: k1 alone would fold the picture's corners."""
+    return replace(scene, camera=replace(scene.camera, dist=(k1, k1 * k1, *scene.camera.dist[2:])))
 
 
 def _false_lines(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
@@ -103,7 +104,7 @@ AXES = (
     Axis("false lines", "share of all lines", (0.0, 0.2, 0.4, 0.6, 0.75), spoil=_false_lines),
     Axis("occlusion", "share of the picture", (0.0, 0.2, 0.4, 0.6, 0.75), spoil=_covered),
     Axis("shadows", "number", (0, 2, 4, 8), lambda s, v: replace(s, shadows=int(v))),
-    Axis("distortion", "k1", (0.0, -0.1, -0.2, -0.3), _bent),
+    Axis("distortion", "k1 (k2 its square)", (0.0, -0.1, -0.2, -0.3), _bent),
     Axis(
         "bond", "shift", (0.0, 0.25, 1 / 3, 0.5), lambda s, v: replace(s, spacing_m=(0.6, 0.3), shift=v)
     ),
