@@ -29,7 +29,7 @@ def one_blas_thread() -> Generator[None]:
     """
     with _HOLDERS.lock:
         if _HOLDERS.count == 0:
-            _take_control()
+            _release_control()
             _HOLDERS.give_back = _libraries().limit(limits=1).restore_original_limits
         _HOLDERS.count += 1
     try:
@@ -38,13 +38,13 @@ def one_blas_thread() -> Generator[None]:
         with _HOLDERS.lock:
             _HOLDERS.count -= 1
             if _HOLDERS.count == 0:
-                _take_control()
+                _release_control()
                 _HOLDERS.give_back()
-                _take_control()
+                _release_control()
 
 
-def _take_control() -> None:
-    """Let this thread set what another set: threadpoolctl listens to one thread only, from 3.8 on."""
+def _release_control() -> None:
+    """Let whoever sets a number next be heard: threadpoolctl listens to one thread only, from 3.8 on."""
     for library in _libraries().lib_controllers:
         leave = getattr(library, "clear_controlling_thread", None)
         if leave is not None:

@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from scipy.special import gammainc
 
 from autoreg.camera import Camera
-from autoreg.geometry import Rigid
 from autoreg.refine import Fit
 from autoreg.segments import Segments
+from autoreg.stations import on_ground
 
 # Cross joints lie this close to the right angle; segments that lie this far from either direction show how
 # many would by chance.
@@ -91,17 +91,6 @@ def off_angle(ground: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:
     """Angle of each segment from the Y axis, between -pi/2 and pi/2, growing towards +X."""
     along = ground[:, 1] - ground[:, 0]
     return np.arctan(along[:, 0] / np.where(along[:, 1] == 0, 1e-300, along[:, 1]))
-
-
-def on_ground(
-    px: Float[np.ndarray, "*n 2"], camera: Camera, cam_from_ground: Rigid
-) -> Float[np.ndarray, "*n 2"]:
-    """Ground points under pixels; NaN where no ground is seen."""
-    rays = camera.unproject(px) @ cam_from_ground.R
-    eye = cam_from_ground.origin_in_a
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ground = eye[:2] - rays[..., :2] * (eye[2] / rays[..., 2:])
-    return np.where(rays[..., 2:] < -1e-3, ground, np.nan)
 
 
 def _in_field(

@@ -20,15 +20,15 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg import residuals as terms
-from autoreg.cross_joints import OffSquare, off_angle, off_square, on_ground
+from autoreg.cross_joints import OffSquare, off_angle, off_square
 from autoreg.directions import LAYING_SPREAD_RAD
 from autoreg.freedom import Free, moved_camera, moved_pose
 from autoreg.refine import Fit, refine_until_still
 from autoreg.segments import Segments
 from autoreg.slab_model import Scatter, estimate_motion
 from autoreg.solver import CAUCHY_SIGMAS, Prior
-from autoreg.stations import project_ground
-from autoreg.uncertainty import Settled, on_camera_side
+from autoreg.stations import on_ground, project_ground
+from autoreg.uncertainty import Settled, moved_fit, on_camera_side
 
 # Cross joints are off square by less than this before the focal length is known.
 WITHIN_RAD = np.radians(6.0)
@@ -119,12 +119,12 @@ def square_up(
         change = float(step.parameters[terms.FOCAL])
         answer = float(np.log(fit.camera.fx)) + change
         if abs(answer - before) < STILL * sigma:
-            moved = _moved(fit, step.parameters)
+            moved = moved_fit(fit, step.parameters)
             covariance = on_camera_side(step.covariance, moved.cam_from_ground)
             return Squared(Settled(moved, covariance, step.scatter), sigma, step.crossing)
         cut = min(1.0, MOST_STEP / max(abs(change), MOST_STEP))
         before = answer if cut == 1.0 else np.inf
-        moved = _moved(fit, cut * step.parameters)
+        moved = moved_fit(fit, cut * step.parameters)
         again = refine_until_still(
             picture, moved.camera, moved.cam_from_ground, fit.grid,
             free=fit.free, search=SEARCH, reach=reach, strip=replace(fit.strip, polarity_known=True),
@@ -134,16 +134,6 @@ def square_up(
             return None
         fit = again
     return None
-
-
-def _moved(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:
-    step = replace(fit.solution, parameters=parameters)
-    return replace(
-        fit,
-        camera=moved_camera(fit.camera, step),
-        cam_from_ground=moved_pose(fit.cam_from_ground, step),
-        distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
-    )
 
 
 def _step(fit: Fit, segments: Segments, field: Float[np.ndarray, "k 2"], known: Free) -> _Step | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple, cast
 
 import cv2
@@ -68,9 +69,7 @@ def detect_segments(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
     # LSD lets other threads run, and the finest level takes longer than all others together.
     with ThreadPoolExecutor(2) as pool:
         levels = list(pool.map(lambda level: _detect_on_level(level, options), _levels(gray, options)))
-    found = _empty()
-    for level in levels:
-        found = _merge(found, level)
+    found = reduce(_merge, levels)
     order = np.argsort(-found.length_px, kind="stable")[: options.max_segments]
     return found.take(order)
 

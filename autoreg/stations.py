@@ -98,6 +98,17 @@ def project_ground(
     return camera.project(points @ R[:, :2].T + t)
 
 
+def on_ground(
+    px: Float[np.ndarray, "*n 2"], camera: Camera, cam_from_ground: Rigid
+) -> Float[np.ndarray, "*n 2"]:
+    """Ground points under pixels; NaN where no ground is seen."""
+    rays = camera.unproject(px) @ cam_from_ground.R
+    eye = cam_from_ground.origin_in_a
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ground = eye[:2] - rays[..., :2] * (eye[2] / rays[..., 2:])
+    return np.where(rays[..., 2:] < -1e-3, ground, np.nan)
+
+
 def visible_sides(
     camera: Camera,
     cam_from_ground: Rigid,

@@ -40,16 +40,20 @@ class Settled:
 def settle(fit: Fit) -> Settled:
     """The fit moved to the likeliest pose under irregular slabs, and how sure that pose is."""
     estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera))
-    step = replace(fit.solution, parameters=estimate.parameters)
-    pose = moved_pose(fit.cam_from_ground, step)
-    moved = replace(
+    moved = moved_fit(fit, estimate.parameters)
+    return Settled(moved, on_camera_side(estimate.covariance, moved.cam_from_ground), estimate.scatter)
+
+
+def moved_fit(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:
+    """The fit after a small motion of pose, camera and lattice; its joints are not measured anew."""
+    step = replace(fit.solution, parameters=parameters)
+    return replace(
         fit,
         camera=moved_camera(fit.camera, step),
-        cam_from_ground=pose,
+        cam_from_ground=moved_pose(fit.cam_from_ground, step),
         grid=stretched(fit.grid, step),
-        distances_px=fit.distances_px + fit.solution.jacobian @ estimate.parameters,
+        distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
     )
-    return Settled(moved, on_camera_side(estimate.covariance, pose), estimate.scatter)
 
 
 def on_camera_side(covariance: Float[np.ndarray, "p p"], pose: Rigid) -> Float[np.ndarray, "6 6"]:

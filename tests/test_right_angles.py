@@ -11,7 +11,7 @@ from paved import gray_of
 
 from autoreg.align import EXIF_FOCAL_SIGMA, MOST_FOCAL_SIGMA, align
 from autoreg.camera import Camera
-from autoreg.cross_joints import off_angle, off_square, on_ground
+from autoreg.cross_joints import off_angle, off_square
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid, angle_between_rotations, vector_from_rotation
@@ -20,7 +20,7 @@ from autoreg.refine import Fit, refine_until_still
 from autoreg.right_angles import SHARED_RAD, Squared, square_up
 from autoreg.rows import STEP_SIGMA
 from autoreg.segments import Segments, detect_segments
-from autoreg.stations import Grid, project_ground
+from autoreg.stations import Grid, on_ground, project_ground
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
 
 PITCH, HEADING = np.deg2rad([36.0, 40.0])

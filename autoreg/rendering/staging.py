@@ -130,6 +130,7 @@ def surface_of(shape: Shape) -> Surface:
         case Torus(radius, tube):
             return torus_surface(radius, tube)
         case Text(text, height, depth, font):
+            # Only scenes with letters need what reads fonts.
             from autoreg.rendering.letters import text_surface
 
             return text_surface(text, height, depth, font)
