@@ -20,6 +20,7 @@ from autoreg.conclude import (
     with_slab_ratio,
 )
 from autoreg.corrections import with_measured_shift
+from autoreg.cross_joints import common_lean
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
@@ -28,7 +29,7 @@ from autoreg.last_step import rested
 from autoreg.lattice_choice import Paving, presented
 from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit, refine_until_still
-from autoreg.refusals import focal_untold, maybe_wall, no_lattice
+from autoreg.refusals import focal_untold, leaning, maybe_wall, no_lattice
 from autoreg.right_angles import Squared, square_up
 from autoreg.rows import STEP_SIGMA, Rows
 from autoreg.search import RADIAL_SIGMA, find_paving, other_camera
@@ -134,6 +135,9 @@ def align_seen(
         settled, crossing = presented(small, at_detection_scale(fit, small, start)), None
         if settled is None or settled.margin_nats < 0:
             raise no_lattice(settled, None)
+    off = leaning(common_lean(segments, fit, field_polygon(settled.presence)), fit.camera, source)
+    if off is not None:
+        raise (given and other_camera(looks, segments, size, given)) or off
     return _concluded(picture, fit, settled, crossing, squared, source, slab, camera_height)
 
 

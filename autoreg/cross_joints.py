@@ -20,6 +20,13 @@ RIGHT_RAD, OBLIQUE_RAD = np.radians(4.0), np.radians(15.0)
 SHORTEST, LONGEST = 0.3, 1.4
 # Segments this close along a row, in its widths, are of one joint: they are its edges, or parts of them.
 ONE_JOINT = 0.15
+# Segments that lean by less tell how far the cross joints lean together.
+LEANING_RAD = np.radians(20.0)
+# Fewer cross joints than this do not tell their own scatter.
+FEWEST_JOINTS = 8
+# Standard deviation of normal values per median of their distances from their median, and that of a median
+# against that of a mean.
+BY_MEDIAN, MEDIAN_LOSS = 1.4826, 1.2533
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,19 @@ class OffSquare:
 
     def __len__(self) -> int:
         return len(self.angle)
+
+
+@dataclass(frozen=True)
+class Lean:
+    """How far the cross joints lean together, and the standard deviation of that, in radians.
+
+    The joints of rectangular slabs lean where their camera is not the one that they are seen with: a stack
+    bond then looks like a running one whose courses move on by a little each, and suits it as well as can be
+    at the unbroken joints.
+    """
+
+    angle: float
+    sigma: float
 
 
 def find_cross_joints(
@@ -85,6 +105,20 @@ def off_square(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], wi
     noise = segments.sigma_px[index] * np.hypot(*by_end)
     middle = ground.mean(1)
     return OffSquare(ends_px, middle, angle, noise, _joints(middle, fit.grid.spacing_y))
+
+
+def common_lean(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
+    """The median lean of the field's cross joints; None where too few are seen.
+
+    The fit is at the photo's own resolution.
+    """
+    seen = off_square(segments, fit, field, LEANING_RAD)
+    joints = len(np.unique(seen.joint))
+    if joints < FEWEST_JOINTS:
+        return None
+    middle = float(np.median(seen.angle))
+    spread = BY_MEDIAN * float(np.median(np.abs(seen.angle - middle)))
+    return Lean(middle, MEDIAN_LOSS * spread / float(np.sqrt(joints)))
 
 
 def off_angle(ground: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:

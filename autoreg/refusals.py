@@ -7,12 +7,16 @@ from typing import Literal
 import numpy as np
 
 from autoreg.camera import Camera
+from autoreg.cross_joints import Lean
 from autoreg.errors import Refusal
 from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.refine import Fit
 from autoreg.rows import Rows
 
+# Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs
+# seen with this camera. What slabs and their laying are off square is a tenth of it.
+MOST_LEAN_DEG, SURE_SIGMAS = 3.0, 5.0
 # A camera's focal length must differ by this much before it is blamed for a refusal.
 FOCAL_BLAME = 0.05
 # ... and its principal point lie so far off the middle, as a share of the width.
@@ -119,6 +123,32 @@ def focal_untold(
         f"the photo names no camera, and {what} {told}, on which {depends} depends; give the camera with "
         f"--camera, or photograph {instead} steeply from above",
         measured=None if focal_px is None else round(sigma_log_focal, 3),
+        limit=limit,
+    )
+
+
+def leaning(lean: Lean | None, camera: Camera, source: Literal["file", "exif", "photo"]) -> Refusal | None:
+    """The refusal of joints that are not at right angles to each other; None if they may be."""
+    if lean is None:
+        return None
+    degrees = float(np.degrees(abs(lean.angle)))
+    if degrees < MOST_LEAN_DEG or abs(lean.angle) < SURE_SIGMAS * lean.sigma:
+        return None
+    measured, limit = round(degrees, 2), MOST_LEAN_DEG
+    if source == "photo":
+        return Refusal(
+            "no_lattice",
+            f"the joints across the unbroken ones are {degrees:.1f} degrees off square at every focal length "
+            "that suits them, which those of rectangular slabs are not; photograph slabs with right angles",
+            measured=measured,
+            limit=limit,
+        )
+    whose = {"file": "with this camera", "exif": "at the focal length of the photo's EXIF data"}[source]
+    return Refusal(
+        "camera_contradicted",
+        f"{whose} ({camera.fx:.0f} px) the joints across the unbroken ones are {degrees:.1f} degrees off "
+        f"square, which those of rectangular slabs are not; {_OTHER_CAMERA}",
+        measured=measured,
         limit=limit,
     )
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg import residuals as terms
-from autoreg.cross_joints import OffSquare, off_angle, off_square
+from autoreg.cross_joints import FEWEST_JOINTS, OffSquare, off_angle, off_square
 from autoreg.directions import LAYING_SPREAD_RAD
 from autoreg.freedom import Free, moved_camera, moved_pose
 from autoreg.refine import Fit, refine_until_still
@@ -35,8 +35,6 @@ WITHIN_RAD = np.radians(6.0)
 # What the cross joints share, as a standard deviation: slabs of one make may all be off square, and EN 1339
 # allows diagonals that differ by 3 mm, which is 4 mrad in slabs of half a metre.
 SHARED_RAD = 0.003
-# Fewer cross joints than this do not tell their own scatter.
-FEWEST_JOINTS = 8
 # The scatter of the cross joints, in variance, against what segments and slabs usually have, is no less.
 LEAST_SCATTER = 0.01
 # Median of the square of a standard normal variable.
