@@ -41,10 +41,14 @@ def design_effects(
         noise: standard deviation of a pixel.
         asked: the unknowns whose variance is asked for.
     """
-    inverse = np.linalg.inv(information.sum(0) + ridge)
+    # In units of their own: what is doubted may look nearly like what is asked for.
+    whole = information.sum(0) + ridge
+    unit = 1.0 / np.sqrt(np.diagonal(whole))
+    scores, information = scores * unit, information * unit[:, None] * unit
+    known = np.linalg.inv(np.linalg.cholesky(whole * unit[:, None] * unit)).T
+    inverse = known @ known.T
     white = np.linalg.cholesky(np.linalg.inv(inverse[asked, asked]))
     ask = white.T @ inverse[asked]
-    known = np.linalg.cholesky(inverse)
     seen = scores @ ask.T
     taken = ask @ information @ known
     own = np.einsum("akk->a", ask @ information @ ask.T)

@@ -132,7 +132,13 @@ def on_grey_levels(
             state = last.state
             if last.sigmas < (STILL_SIGMAS if every == 1 else ROUGHLY_STILL_SIGMAS):
                 break
-    return None if last is None else _judged(last, fit, covariance)
+    if last is None:
+        return None
+    try:
+        return _judged(last, fit, covariance)
+    except np.linalg.LinAlgError:
+        # Something that is asked for cannot be told from what is doubted.
+        return None
 
 
 def _sides(fit: Fit, reach: float, field: Float[np.ndarray, "k 2"] | None) -> Sides:

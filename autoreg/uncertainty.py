@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg import residuals as terms
+from autoreg.bond import customary_shift
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
 from autoreg.refine import Fit, refine, refine_until_still
@@ -16,13 +17,17 @@ from autoreg.slab_model import BOW, Estimate, Scatter, estimate_motion
 
 # What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of
 # the focal length, and of the picture's width for the principal point.
-FOCAL_TOLERANCE, CENTRE_TOLERANCE = 0.01, 0.005
+FOCAL_TOLERANCE, CENTRE_TOLERANCE = 0.0075, 0.005
 # The contradiction must be beyond this chi-square (of at most three degrees of freedom).
 CONTRADICTION = 12.0
-# Above this chi-square, or where slabs seem to lie this share of a side off, the joints are measured again.
-DOUBT, UNEVEN = 1.0, 0.01
-# What a free camera must lower the slabs' scatter to, to be believed.
-EVENER = 0.8
+# Above this chi-square, or where slabs seem to lie this share of a side off, or more than this share of a
+# family's joints is missed, the joints are measured again.
+DOUBT, UNEVEN, MISSED = 1.0, 0.01, 0.15
+# What a free camera must lower the slabs' scatter to, or the share of joints that are missed, to be believed;
+# and by how much joints may lie farther from their lines for that.
+EVENER, FEWER, ROUGHER = 0.8, 0.5, 1.1
+# Stations that keep less of their weight do not lie on their joint.
+LEAST_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -95,8 +100,9 @@ def check_camera(
 
     Ground that is bent imitates another camera, and so the covariance allows for a bow.
 
-    A wrong camera makes even slabs look irregular, and hides joints from the search. With the picture, a fit
-    that gives cause for doubt is therefore repeated with a free camera first.
+    A wrong camera makes even slabs look irregular, hides joints from the search, and moves the courses of a
+    running bond by as much as its shift may be misread. With the picture, a fit that gives cause for doubt is
+    therefore repeated with a free camera first.
 
     Args:
         fit: the fit with the given camera.
@@ -104,27 +110,44 @@ def check_camera(
         field: where on the ground the paving is, as for `refine`.
         scatter: of the slabs, as the fit's pose alone has it.
     """
-    free = _free_camera(fit)
+    given, free = fit, _free_camera(fit)
     # Joints that lie off since the camera is wrong lie off with both edges: widths would be misread.
     both = estimate_motion(fit, free.mask, free.prior(fit.camera), scatter, bow=BOW, widths=False)
     chi_square, shift = _contradiction(fit, fit, both)
+    customary = customary_shift(fit.grid.shift)
     uneven = both.scatter.place > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
-    if picture is not None and (uneven or chi_square > DOUBT):
-        given, before = fit, both.scatter.place
-        for freed in _fits_with_free_camera(given, picture, field):
+    doubted = uneven or chi_square > DOUBT or _missed(fit) > MISSED or customary != fit.grid.shift
+    if picture is not None and doubted:
+        before = both.scatter.place
+        usual = replace(fit, grid=replace(fit.grid, shift=customary))
+        for freed in _fits_with_free_camera(usual, picture, field):
             motion = estimate_motion(
                 freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW, widths=False
             )
-            # A free camera that does not make the slabs evener has found nothing better.
-            if motion.scatter.place < EVENER * both.scatter.place:
+            # A free camera that neither makes the slabs evener nor meets more joints is no better one.
+            evener = motion.scatter.place < EVENER * both.scatter.place
+            met = _missed(freed) < FEWER * _missed(fit)
+            if (evener or met) and _roughness(freed) < ROUGHER * _roughness(fit):
                 chi_square, shift = _contradiction(given, freed, motion)
                 fit, both = freed, motion
             if both.scatter.place < 0.5 * before:
                 break
-    log_focal, sigma = _focal_alone(both, fit.free.centre_sigma_px if fit.free.centre else 0.0)
+    log_focal, sigma = _focal_alone(both, given.free.centre_sigma_px if given.free.centre else 0.0)
     focal = fit.camera.fx * float(np.exp(log_focal))
     consistent = chi_square < CONTRADICTION
     return CameraCheck(consistent, focal, focal * sigma, float(shift[0]), shift[1:], chi_square)
+
+
+def _missed(fit: Fit) -> float:
+    """Share of the stations that do not lie on their joint, in the family with more of them."""
+    off = fit.weight < LEAST_WEIGHT
+    return max(float(off[fit.stations.family == family].mean()) for family in np.unique(fit.stations.family))
+
+
+def _roughness(fit: Fit) -> float:
+    """Median distance of the stations from their lines, in pixels, in the family with the greater one."""
+    used = [fit.usable & (fit.stations.family == family) for family in np.unique(fit.stations.family)]
+    return max(float(np.median(np.abs(fit.distances_px[rows]))) for rows in used if rows.any())
 
 
 def _focal_alone(both: Estimate, centre_sigma_px: float) -> tuple[float, float]:

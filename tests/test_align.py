@@ -18,7 +18,7 @@ from autoreg.camera_files import read_camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
-from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
+from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
 
 ROOT = Path(__file__).resolve().parents[1]
 FIXTURES = ROOT / "fixtures"
@@ -155,6 +155,41 @@ def test_slabs_seen_from_straight_above_do_not_tell_the_height_of_an_unknown_cam
     assert caught.value.code == "ambiguous"
     found = autoreg.align(board, Camera.from_focal(200, 200, 300.0), slab=(0.25, 0.25))
     assert found.pose.cam_from_ground.origin_in_a[2] == pytest.approx(3.0, rel=0.01)
+
+
+@cache
+def seen_from_aside(heading_deg: float, joint_width_m: float, seed: int) -> SyntheticPhoto:
+    pose = look_at_ground(
+        pitch_deg=38.0, height_m=1.6, heading_deg=heading_deg, roll_deg=1.0, foot_m=(0.1, 0.2)
+    )
+    return render_paving(
+        SyntheticScene(
+            camera=Camera.from_focal(1024, 768, 896.0),
+            cam_from_ground=pose,
+            joint_width_m=joint_width_m,
+            colour=False,
+            seed=seed,
+        )
+    )
+
+
+def test_wide_joints_are_not_taken_by_one_edge():
+    photo = seen_from_aside(74.0, 0.04, 2)
+    found = autoreg.align(photo.pixels, photo.camera, slab=(0.4, 0.4))
+    assert found.lattice.joint_width == pytest.approx(0.04, rel=0.05)
+    angle_deg, crossing_px = miss_of(found, photo)
+    assert angle_deg < 0.02
+    assert crossing_px < 0.2
+
+
+@pytest.mark.parametrize("slab", [(0.4, 0.4), None])
+def test_a_skew_stack_seen_through_a_wrong_camera_is_no_running_bond(slab: tuple[float, float] | None):
+    photo = seen_from_aside(37.0, 0.01, 1)
+    wrong = Camera.from_focal(1024, 768, 0.8 * 896.0)
+    with pytest.raises(Refusal) as caught:
+        autoreg.align(photo.pixels, wrong, slab=slab)
+    assert caught.value.code == "camera_contradicted"
+    assert caught.value.measured == pytest.approx(896.0, rel=0.01)
 
 
 def test_ground_without_a_lattice_is_refused_by_name(gravel_photo: SyntheticPhoto):

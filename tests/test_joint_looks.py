@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from paved import CHECKER, gray_of, misses, nudged, true_grid
+from paved import CHECKER, STACK, gray_of, misses, nudged, true_grid
 
 from autoreg.edges import Offsets
 from autoreg.freedom import Free
@@ -89,3 +89,16 @@ def test_overexposed_tiles_are_not_taken_for_crooked_ones(overexposed: Synthetic
     assert angle_deg < 0.02
     assert crossing_px < 0.1
     assert settled.scatter.place < 0.0005 * settled.fit.grid.spacing_y
+
+
+@pytest.mark.parametrize("width_m", [0.01, 0.02, 0.04])
+def test_joints_of_any_width_are_measured_by_both_edges_from_the_first_look_on(width_m: float):
+    scene = replace(STACK, spacing_m=(0.4, 0.4), joint_width_m=width_m, colour=False)
+    photo = render_paving(scene)
+    start = nudged(photo.cam_from_ground, turn_deg=0.5, move_m=0.02)
+    fit = refine(
+        gray_of(photo), photo.camera, start, true_grid(photo), free=Free(), search=0.1, reaches=(6.0,)
+    )
+    assert fit is not None
+    assert fit.strip.polarity == (-1, -1)
+    assert np.allclose(fit.strip.width, width_m, rtol=0.2)

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 from paved import STACK, fit_of, gray_of
 
 from autoreg.camera import Camera
+from autoreg.cross_joints import Lean
 from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving
 from autoreg.presence import presence_of
 from autoreg.refusals import (
@@ -14,6 +16,7 @@ from autoreg.refusals import (
     ambiguous,
     camera_contradicted,
     focal_untold,
+    leaning,
     maybe_wall,
     no_lattice,
 )
@@ -99,3 +102,26 @@ def test_paving_that_leaves_the_focal_length_open_says_how_far_and_asks_for_the_
     assert ("21 %" in refusal.message) == told
     assert ("1234 px" in refusal.message) == told
     assert ("rows" in refusal.message) == (kind == "rows")
+
+
+@pytest.mark.parametrize(("degrees", "sigma_deg"), [(1.3, 0.1), (8.0, 3.0)])
+def test_joints_that_lean_little_or_unsurely_are_not_refused(degrees: float, sigma_deg: float):
+    lean = Lean(*np.radians([-degrees, sigma_deg]))
+    assert leaning(lean, Camera.from_focal(800, 600, 700.0), "file") is None
+
+
+@pytest.mark.parametrize(
+    ("source", "code", "word"),
+    [
+        ("file", "camera_contradicted", "this camera"),
+        ("exif", "camera_contradicted", "EXIF"),
+        ("photo", "no_lattice", "every focal length"),
+    ],
+)
+def test_joints_that_lean_together_blame_whoever_told_the_focal_length(
+    source: Literal["file", "exif", "photo"], code: str, word: str
+):
+    refusal = leaning(Lean(*np.radians([-6.97, 0.02])), Camera.from_focal(800, 600, 700.0), source)
+    assert refusal is not None
+    assert (refusal.code, refusal.measured) == (code, 6.97)
+    assert word in refusal.message

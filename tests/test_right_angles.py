@@ -11,7 +11,7 @@ from paved import gray_of
 
 from autoreg.align import EXIF_FOCAL_SIGMA, MOST_FOCAL_SIGMA, align
 from autoreg.camera import Camera
-from autoreg.cross_joints import off_angle, off_square
+from autoreg.cross_joints import common_lean, off_angle, off_square
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid, angle_between_rotations, vector_from_rotation
@@ -163,6 +163,22 @@ def test_both_edges_of_a_cross_joint_are_one_joint_and_lie_square_at_the_true_ca
         assert np.ptp(middle[:, 0]) < 0.2 * 0.3
     # Each joint is turned by 6 mrad, and its segments are short.
     assert abs(float(np.median(seen.angle))) < 3.0 * 0.006 / np.sqrt(joints)
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.0, 1.15])
+def test_cross_joints_lean_together_by_as_much_as_the_camera_is_wrong(factor: float):
+    fit = fitted(ASLANT, factor)
+    lean = common_lean(segments_of(ASLANT), fit, field_of(fit.camera, fit.cam_from_ground))
+    assert lean is not None
+    expected = np.cos(PITCH) ** 2 * np.sin(2 * HEADING) * np.log(factor)
+    assert abs(lean.angle) == pytest.approx(abs(expected), rel=0.15, abs=4 * lean.sigma)
+    assert lean.sigma < 0.004
+
+
+def test_too_few_cross_joints_tell_no_lean():
+    fit = fitted(ASLANT, 1.0)
+    field = field_of(fit.camera, fit.cam_from_ground)
+    assert common_lean(segments_of(ASLANT).take(np.arange(0)), fit, field) is None
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.04, 1.15])

@@ -18,7 +18,7 @@ from autoreg.image import as_gray
 from autoreg.refine import Fit, refine_until_still
 from autoreg.slab_model import estimate_motion
 from autoreg.solver import Prior
-from autoreg.stations import Grid
+from autoreg.stations import ALONG_Y, Grid
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from autoreg.uncertainty import check_camera, settle
 
@@ -31,6 +31,9 @@ SCENE = SyntheticScene(
 )
 
 
+BOND = replace(SCENE, spacing_m=(0.6, 0.3), shift=0.5)
+
+
 @cache
 def picture(jitter_m: float, seed: int) -> np.ndarray:
     photo = render_paving(replace(SCENE, jitter_m=jitter_m, seed=seed))
@@ -38,14 +41,27 @@ def picture(jitter_m: float, seed: int) -> np.ndarray:
 
 
 @cache
-def fitted(jitter_m: float, seed: int, focal: float = 1.0) -> Fit:
+def bonded(shift: float) -> np.ndarray:
+    return as_gray(render_paving(replace(BOND, shift=shift)).pixels).astype(np.float32)
+
+
+def fit_to(gray: np.ndarray, grid: Grid, focal: float) -> Fit:
     camera = replace(SCENE.camera, fx=focal * SCENE.camera.fx, fy=focal * SCENE.camera.fy)
     fit = refine_until_still(
-        picture(jitter_m, seed), camera, SCENE.cam_from_ground, Grid(0.4, 0.4),
-        free=Free(), search=0.08, reach=12.0,
+        gray, camera, SCENE.cam_from_ground, grid, free=Free(), search=0.08, reach=12.0
     )  # fmt: skip
     assert fit is not None
     return fit
+
+
+@cache
+def fitted(jitter_m: float, seed: int, focal: float = 1.0) -> Fit:
+    return fit_to(picture(jitter_m, seed), Grid(0.4, 0.4), focal)
+
+
+@cache
+def bond_fitted(shift: float, focal: float) -> Fit:
+    return fit_to(bonded(shift), Grid(0.6, 0.3, shift), focal)
 
 
 def rotation_errors(jitter_m: float, seeds: range) -> np.ndarray:
@@ -131,3 +147,26 @@ def test_a_wrong_focal_length_is_called_out_and_the_right_one_named(focal: float
     check = check_camera(fitted(0.0, 0, focal), picture(0.0, 0))
     assert not check.consistent
     assert check.focal_px == pytest.approx(SCENE.camera.fx, rel=0.01)
+
+
+def test_joints_that_are_missed_betray_a_camera_that_the_others_fit() -> None:
+    # Unbroken joints fit any focal length: the cross joints alone are off, and soon have no weight.
+    fit = bond_fitted(0.5, 0.95)
+    assert np.mean(fit.weight[fit.stations.family == ALONG_Y] < 0.1) > 0.2
+    check = check_camera(fit, bonded(0.5))
+    assert not check.consistent
+    assert check.focal_px == pytest.approx(BOND.camera.fx, rel=0.002)
+    assert check.focal_sigma_px < 0.002 * check.focal_px
+
+
+@pytest.mark.parametrize("moved", [0.485, 0.515])
+def test_a_shift_that_a_wrong_camera_explains_is_no_refuge_for_it(moved: float) -> None:
+    fit = bond_fitted(0.5, 0.95)
+    fit = replace(fit, grid=replace(fit.grid, shift=moved))
+    assert not check_camera(fit, bonded(0.5)).consistent
+
+
+def test_a_shift_that_slabs_are_really_laid_by_is_no_contradiction() -> None:
+    check = check_camera(bond_fitted(0.485, 1.0), bonded(0.485))
+    assert check.consistent
+    assert check.focal_px == pytest.approx(BOND.camera.fx, rel=0.003)

@@ -154,10 +154,11 @@ def within(found: Alignment, scene: SyntheticScene) -> bool:
         return False
     if abs(pose.origin_in_a[2] / true.origin_in_a[2] - 1) > HEIGHT:
         return False
-    # Where the true crossings are seen, on the found ground, and the found crossings nearest to them.
+    # The pixels in which the true crossings are seen, on the found ground as the told camera has it, and the
+    # found crossings nearest to them.
     points = crossings_of(scene, heights=4.0)
-    seen = np.c_[points, np.zeros(len(points))] @ true.R.T + true.t
-    rays, eye = seen @ pose.R, pose.origin_in_a
+    px = scene.camera.project(np.c_[points, np.zeros(len(points))] @ true.R.T + true.t)
+    rays, eye = found.camera.camera.unproject(px) @ pose.R, pose.origin_in_a
     ground = eye[:2] - rays[:, :2] * (eye[2] / rays[:, 2:])
     row = np.round(ground[:, 1] / b)
     moved = row * (found.lattice.shift or 0.0)
