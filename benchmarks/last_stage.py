@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.align import FIRST_SEARCH, REACH
 from autoreg.camera import Camera
 from autoreg.freedom import Free
+from autoreg.full_resolution import FIRST_SEARCH, REACH
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.last_step import rested
 from autoreg.refine import Fit, refine_until_still

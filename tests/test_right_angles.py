@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from paved import gray_of
 
-from autoreg.align import EXIF_FOCAL_SIGMA, MOST_FOCAL_SIGMA, align
+from autoreg.align import EXIF_FOCAL_SIGMA, align
 from autoreg.camera import Camera
 from autoreg.cross_joints import common_lean, off_angle, off_square
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
+from autoreg.full_resolution import MOST_FOCAL_SIGMA
 from autoreg.geometry import Rigid, angle_between_rotations, vector_from_rotation
 from autoreg.image import as_gray
 from autoreg.refine import Fit, refine_until_still
