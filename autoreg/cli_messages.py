@@ -11,6 +11,9 @@ if TYPE_CHECKING:
     from autoreg.alignment import Alignment
     from autoreg.job import Listener, Outcome
 
+# Focal lengths that differ by less are not what is wrong with a camera.
+ABOUT_THE_SAME = 0.02
+
 
 def tell(text: str) -> None:
     """A line on stderr."""
@@ -54,6 +57,8 @@ def _tell_inconsistent(given_px: float, found_px: float | None, sigma_px: float 
     found = "" if found_px is None else f" They ask for a focal length of {found_px:.0f} px"
     found += "" if not found or sigma_px is None else f" (± {sigma_px:.0f})"
     found += f"; the camera says {given_px:.0f} px." if found else ""
+    if found_px is not None and abs(found_px / given_px - 1) < ABOUT_THE_SAME:
+        found += " It is its principal point, or its lens distortion, that does not suit them."
     tell("*" * 78)
     tell(f"WARNING: the photo's own joints contradict the given camera.{found}")
     tell("The pose below rests on that camera and is probably wrong. Check that the camera file belongs to")

@@ -16,16 +16,20 @@ from autoreg.refine import Fit, refine, refine_until_still
 from autoreg.slab_model import BOW, Estimate, Scatter, estimate_motion
 
 # What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of
-# the focal length, and of the picture's width for the principal point.
-FOCAL_TOLERANCE, CENTRE_TOLERANCE = 0.0075, 0.005
-# The contradiction must be beyond this chi-square (of at most three degrees of freedom).
-CONTRADICTION = 12.0
+# the focal length, and of the picture's width for the principal point and for what the lens does to a corner.
+FOCAL_TOLERANCE, CENTRE_TOLERANCE, LENS_TOLERANCE = 0.0075, 0.005, 0.0025
+# The contradiction must be beyond this chi-square (of at most four degrees of freedom).
+CONTRADICTION = 14.0
+# So wide that it only keeps untold lenses finite.
+ANY_RADIAL = 0.5
 # Above this chi-square, or where slabs seem to lie this share of a side off, or more than this share of a
 # family's joints is missed, the joints are measured again.
 DOUBT, UNEVEN, MISSED = 1.0, 0.01, 0.15
 # What a free camera must lower the slabs' scatter to, or the share of joints that are missed, to be believed;
 # and by how much joints may lie farther from their lines for that.
 EVENER, FEWER, ROUGHER = 0.8, 0.5, 1.1
+# Slabs that scatter by less, in pixels, are even.
+EVEN_PX = 0.02
 # Stations that keep less of their weight do not lie on their joint.
 LEAST_WEIGHT = 0.1
 
@@ -76,13 +80,18 @@ def _cross(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """What the joints say about the camera; the shifts are of the joints' own camera from the given one."""
+    """What the joints say about the camera.
+
+    The shifts are of the joints' own camera from the given one: logarithm of the focal length, pixels, and
+    the first radial coefficient.
+    """
 
     consistent: bool
     focal_px: float
     focal_sigma_px: float
     focal_shift: float
     centre_shift_px: Float[np.ndarray, "2"]
+    radial_shift: float
     chi_square: float
 
 
@@ -94,9 +103,9 @@ def check_camera(
 ) -> CameraCheck:
     """Whether the joints of this photo contradict the camera they were fitted with.
 
-    The joints' own focal length and principal point are estimated, with the covariance of irregular slabs.
-    Their distance from the given camera is judged against that covariance plus what a good calibration may
-    be off by: a direction that the joints do not tell has a wide covariance, and so no say.
+    The joints' own focal length, principal point and lens are estimated, with the covariance of irregular
+    slabs. Their distance from the given camera is judged against that covariance plus what a good calibration
+    may be off by: a direction that the joints do not tell has a wide covariance, and so no say.
 
     Ground that is bent imitates another camera, and so the covariance allows for a bow.
 
@@ -125,17 +134,22 @@ def check_camera(
                 freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW, widths=False
             )
             # A free camera that neither makes the slabs evener nor meets more joints is no better one.
-            evener = motion.scatter.place < EVENER * both.scatter.place
+            px = float(np.median(fit.profiles.px_per_unit[fit.usable]))
+            evener = motion.scatter.place < EVENER * both.scatter.place and both.scatter.place * px > EVEN_PX
             met = _missed(freed) < FEWER * _missed(fit)
             if (evener or met) and _roughness(freed) < ROUGHER * _roughness(fit):
                 chi_square, shift = _contradiction(given, freed, motion)
                 fit, both = freed, motion
-            if both.scatter.place < 0.5 * before:
+            # A camera that is wrong is worth the time to find the right one.
+            if both.scatter.place < 0.5 * before and chi_square < CONTRADICTION:
                 break
-    log_focal, sigma = _focal_alone(both, given.free.centre_sigma_px if given.free.centre else 0.0)
+    centre = np.array([given.camera.cx - fit.camera.cx, given.camera.cy - fit.camera.cy])
+    log_focal, sigma = _focal_alone(both, given.free, centre)
     focal = fit.camera.fx * float(np.exp(log_focal))
     consistent = chi_square < CONTRADICTION
-    return CameraCheck(consistent, focal, focal * sigma, float(shift[0]), shift[1:], chi_square)
+    return CameraCheck(
+        consistent, focal, focal * sigma, float(shift[0]), shift[1:3], float(shift[3]), chi_square
+    )
 
 
 def _missed(fit: Fit) -> float:
@@ -150,39 +164,58 @@ def _roughness(fit: Fit) -> float:
     return max(float(np.median(np.abs(fit.distances_px[rows]))) for rows in used if rows.any())
 
 
-def _focal_alone(both: Estimate, centre_sigma_px: float) -> tuple[float, float]:
-    """Logarithm of the focal length's change and its sigma, with the principal point where it is.
+def _focal_alone(both: Estimate, known: Free, centre: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    """Logarithm of the focal length's change and its sigma, with the principal point moved to `centre`.
 
-    Where that is known to `centre_sigma_px` only, what it would change is uncertainty of the focal length.
+    Where the principal point is not known, what it would change is uncertainty of the focal length; a lens
+    that is not known is estimated beside it.
     """
     C, x = both.covariance, both.parameters
-    pull = np.linalg.solve(C[terms.CENTRE, terms.CENTRE], C[terms.CENTRE, terms.FOCAL])
-    variance = C[terms.FOCAL, terms.FOCAL] - pull @ C[terms.CENTRE, terms.FOCAL]
-    sigma = float(np.hypot(np.sqrt(max(variance, 0.0)), centre_sigma_px * np.linalg.norm(pull)))
-    return float(x[terms.FOCAL] - pull @ x[terms.CENTRE]), sigma
+    held = [8, 9] if known.radial else [8, 9, terms.RADIAL]
+    pull = np.linalg.solve(C[np.ix_(held, held)], C[held, terms.FOCAL])
+    variance = C[terms.FOCAL, terms.FOCAL] - pull @ C[held, terms.FOCAL]
+    doubt = known.centre_sigma_px * np.linalg.norm(pull[:2]) if known.centre else 0.0
+    held_at = np.r_[centre, np.zeros(len(held) - 2)]
+    change = x[terms.FOCAL] + pull @ (held_at - x[held])
+    return float(change), float(np.hypot(np.sqrt(max(variance, 0.0)), doubt))
 
 
 def _free_camera(fit: Fit) -> Free:
     # Priors so wide that they only keep untold directions finite.
     width = float(fit.camera.width)
-    return replace(fit.free, focal=True, centre=True, nominal=None, focal_sigma=1.0, centre_sigma_px=width)
+    return replace(
+        fit.free,
+        focal=True,
+        centre=True,
+        radial=True,
+        nominal=None,
+        focal_sigma=1.0,
+        centre_sigma_px=width,
+        radial_sigma=min(fit.free.radial_sigma, ANY_RADIAL),
+    )
 
 
 def _fits_with_free_camera(
     fit: Fit, picture: Float[np.ndarray, "h w"], field: Float[np.ndarray, "k 2"] | None
 ) -> Iterator[Fit]:
-    """Fits with the focal length free, then with the principal point as well.
+    """Fits with the focal length free, then with the principal point, then with the lens as well.
 
     They grow from the camera's feet outwards: however wrong the camera, near joints lie where they are looked
     for, and what they tell of the camera brings the farther ones within reach.
     """
-    for centre in (False, True):
+    free = _free_camera(fit)
+    pinhole = replace(free, radial=fit.free.radial)
+    for growing, settling in (
+        (replace(pinhole, centre=False), pinhole),
+        (pinhole, pinhole),
+        (free, free),
+    ):
         grown = refine(
             picture,
             fit.camera,
             fit.cam_from_ground,
             fit.grid,
-            free=replace(_free_camera(fit), centre=centre),
+            free=growing,
             search=0.15,
             reaches=(2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0),
             strip=fit.strip,
@@ -195,7 +228,7 @@ def _fits_with_free_camera(
             start.camera,
             start.cam_from_ground,
             start.grid,
-            free=_free_camera(fit),
+            free=settling,
             search=0.0 if grown else 0.08,
             reach=12.0,
             strip=start.strip,
@@ -205,17 +238,28 @@ def _fits_with_free_camera(
             yield still
 
 
-def _contradiction(asked: Fit, told: Fit, motion: Estimate) -> tuple[float, Float[np.ndarray, "3"]]:
+def _contradiction(asked: Fit, told: Fit, motion: Estimate) -> tuple[float, Float[np.ndarray, "4"]]:
     """Chi-square of the distance between the camera that was given for one fit and that of another's joints.
 
-    The distance itself comes along: logarithm of the focal length, and the principal point in pixels.
+    The distance itself comes along: logarithm of the focal length, the principal point in pixels, and the
+    first radial coefficient.
     """
-    given, own = asked.free.nominal or asked.camera, told.camera
-    moved = np.array([np.log(own.fx / given.fx), own.cx - given.cx, own.cy - given.cy])
-    asked_of = [terms.FOCAL, 8, 9]
+    given, own, free = asked.free.nominal or asked.camera, told.camera, asked.free
+    moved = np.array(
+        [np.log(own.fx / given.fx), own.cx - given.cx, own.cy - given.cy, own.dist[0] - given.dist[0]]
+    )
+    asked_of = [terms.FOCAL, 8, 9, terms.RADIAL]
     shift = motion.parameters[asked_of] + moved
-    tolerance = np.array([FOCAL_TOLERANCE, CENTRE_TOLERANCE * given.width, CENTRE_TOLERANCE * given.width])
-    known = np.array([asked.free.focal_sigma, asked.free.centre_sigma_px, asked.free.centre_sigma_px])
+    corner = 0.5 * float(np.hypot(given.width, given.height)) / given.fx
+    tolerance = np.array(
+        [
+            FOCAL_TOLERANCE,
+            CENTRE_TOLERANCE * given.width,
+            CENTRE_TOLERANCE * given.width,
+            LENS_TOLERANCE * given.width / (given.fx * corner**3),
+        ]
+    )
+    known = np.array([free.focal_sigma, free.centre_sigma_px, free.centre_sigma_px, free.radial_sigma])
     tolerance = np.maximum(tolerance, np.where(np.isfinite(known), known, 0.0))
     C = motion.covariance[np.ix_(asked_of, asked_of)] + np.diag(tolerance**2)
     return float(shift @ np.linalg.solve(C, shift)), shift

@@ -170,3 +170,26 @@ def test_a_shift_that_slabs_are_really_laid_by_is_no_contradiction() -> None:
     check = check_camera(bond_fitted(0.485, 1.0), bonded(0.485))
     assert check.consistent
     assert check.focal_px == pytest.approx(BOND.camera.fx, rel=0.003)
+
+
+@cache
+def bent(k1: float) -> tuple[np.ndarray, Fit]:
+    """A photo through a bent lens, and its fit with a camera that knows nothing of the bend."""
+    lens = replace(SCENE, camera=replace(SCENE.camera, dist=(k1, k1 * k1, *SCENE.camera.dist[2:])))
+    gray = as_gray(render_paving(lens).pixels).astype(np.float32)
+    return gray, fit_to(gray, Grid(0.4, 0.4), 1.0)
+
+
+def test_a_lens_that_the_camera_leaves_out_is_called_out_and_its_bend_told() -> None:
+    gray, fit = bent(-0.08)
+    check = check_camera(fit, gray)
+    assert not check.consistent
+    assert check.radial_shift == pytest.approx(-0.08, rel=0.1)
+    assert check.focal_px == pytest.approx(SCENE.camera.fx, rel=0.005)
+
+
+def test_a_lens_that_is_hardly_bent_is_no_contradiction() -> None:
+    gray, fit = bent(-0.004)
+    check = check_camera(fit, gray)
+    assert check.consistent
+    assert check.radial_shift == pytest.approx(-0.004, abs=0.003)
