@@ -21,7 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.sparse import diags, hstack, identity
+from scipy.linalg.lapack import dtbtrs
+from scipy.sparse import hstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from autoreg.design_effect import drawn_design_effect
@@ -98,8 +99,10 @@ def estimate_motion(
         widths: whether the joints' widths have a say.
     """
     rows = np.flatnonzero(fit.usable)
-    sizes, relief = _likeliest_sizes(_Model(fit, mask, prior, bow, _in_blocks(fit, rows), widths), near)
-    model = _Model(fit, mask, prior, bow, rows, widths)
+    some = _in_blocks(fit, rows)
+    model = _Model(fit, mask, prior, bow, some, widths)
+    sizes, relief = _likeliest_sizes(model, near)
+    model = _Model(fit, mask, prior, bow, rows, widths) if len(some) < len(rows) else model.begun_anew()
     for _ in range(2):
         model.reweigh(sizes, relief)
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
@@ -210,6 +213,7 @@ class _Model:
         # Neighbouring slabs next to each other: only they share a joint, and so the products form a band.
         order = reverse_cuthill_mckee((Z.T @ Z).tocsr(), symmetric_mode=True)
         self.Z: Any = Z[:, order].tocsr()
+        self._pair_up()
         # Which of the three sizes each column of Z is scaled by.
         self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
@@ -218,43 +222,66 @@ class _Model:
         # Which of these columns are scaled by the size of the relief.
         self.relief = np.repeat([True, False], [relief.shape[1], sum(effect.shape[1] for effect in others)])
         self.columns = np.c_[J * self.unit, relief, *others, joints.off_px]
-        narrower = np.abs(joints.off_px[len(rows) :])
-        usual = np.r_[fit.sigma_px[rows], np.full(len(narrower), 1.48 * _median(narrower))]
+        self.begun_anew()
+
+    def begun_anew(self) -> _Model:
+        """This model with the weights that the joints' distances alone give."""
+        joints = self.joints
+        narrower = np.abs(joints.off_px[len(joints.rows) :])
+        usual = np.r_[joints.fit.sigma_px[joints.rows], np.full(len(narrower), 1.48 * _median(narrower))]
         self.weight = 1.0 / (1.0 + (joints.off_px / (CAUCHY_SIGMAS * usual)) ** 2)
         self._weigh()
+        return self
+
+    def _pair_up(self) -> None:
+        """Where the products of Z's entries stand in the band of Z' D^-1 Z, whatever D is.
+
+        Two slabs move every measurement, each by its place, its lift and its turn, and so all rows of Z have
+        as many entries. Those that are zero would widen the band.
+        """
+        count, size = self.Z.shape
+        column, value = (entries.reshape(count, -1) for entries in (self.Z.indices, self.Z.data))
+        one, other = np.tril_indices(column.shape[1])
+        product = value[:, one] * value[:, other]
+        self.pair_row, pair = np.nonzero(product)
+        self.pair_product = product[self.pair_row, pair]
+        ends = column[self.pair_row, one[pair]].astype(np.int64), column[self.pair_row, other[pair]]
+        low, high = np.minimum(*ends), np.maximum(*ends)
+        place = (high - low) * size + low
+        used = np.flatnonzero(np.bincount(place))
+        self.below, self.column = np.divmod(used, size)
+        number = np.zeros(used[-1] + 1, dtype=np.int64)
+        number[used] = np.arange(len(used))
+        self.pair = number[place]
 
     def _weigh(self) -> None:
         """The products with the inverse of D that every size needs, for the weights as they are."""
         self.D = self.joints.noise_px**2 / self.weight
-        ZD = (self.Z.T @ diags(1.0 / self.D)).tocsr()
-        inner = (ZD @ self.Z + identity(ZD.shape[0])).tocoo()
-        below = inner.row >= inner.col
-        self.row, self.column = inner.row[below], inner.col[below]
-        self.diagonal = self.row == self.column
-        self.products = inner.data[below] - self.diagonal
-        self.ZD, self.ZDC = ZD, ZD @ self.columns
-        self.CDC = self.columns.T @ (self.columns / self.D[:, None])
+        over = self.columns / self.D[:, None]
+        self.products = np.bincount(self.pair, self.pair_product / self.D[self.pair_row])
+        self.ZDC = self.Z.T @ over
+        self.CDC = self.columns.T @ over
 
     def factor(self, sizes: _Sizes) -> None:
         """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
         place, lift, turn = sizes
         self.scale = np.array([place, place * lift, place * turn])[self.kind]
-        data = self.products * self.scale[self.row] * self.scale[self.column] + self.diagonal
-        width = int((self.row - self.column).max()) + 1
-        band = np.zeros((width, len(self.scale)))
-        band[self.row - self.column, self.column] = data
+        band = np.zeros((int(self.below[-1]) + 1, len(self.scale)))
+        both = self.scale[self.column] * self.scale[self.column + self.below]
+        band[self.below, self.column] = self.products * both
+        band[0] += 1.0
         self.cholesky = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
         self.logdet = float(np.log(self.D * self.weight).sum() + 2.0 * np.log(self.cholesky[0]).sum())
-        across = self.scale[:, None] * self.ZDC
-        self.gram = self.CDC - across.T @ self._solved(across)
+        across, _ = dtbtrs(self.cholesky, self.scale[:, None] * self.ZDC, uplo="L")
+        self.gram = self.CDC - across.T @ across
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         return cho_solve_banded((self.cholesky, True), right, check_finite=False)
 
     def _whitened(self, x: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
         """V^-1 x."""
-        scale = self.scale[:, None]
-        return x / self.D[:, None] - self.ZD.T @ (scale * self._solved(scale * (self.ZD @ x)))
+        scale, over = self.scale[:, None], 1.0 / self.D[:, None]
+        return over * (x - self.Z @ (scale * self._solved(scale * (self.Z.T @ (over * x)))))
 
     def misfit(self, relief: float) -> float:
         """How much more the stations that share something agree than in pictures drawn from the model."""
