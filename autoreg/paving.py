@@ -239,8 +239,9 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free) -> Paving 
     if len(presence.p) < 6 or not hopeful(presence):
         return None
     field = field_polygon(presence)
-    whole = fills(fit, field)
-    return settle_bond(looks.picture, fit if whole else refine_in_field(looks.picture, fit, field))
+    if not fills(fit, field):
+        return settle_bond(looks.picture, refine_in_field(looks.picture, fit, field))
+    return settle_bond(looks.picture, fit, presence if len(presence.p) < GLANCE_SIDES else None)
 
 
 def fills(fit: Fit, field: Float[np.ndarray, "k 2"]) -> bool:
