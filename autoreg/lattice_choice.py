@@ -166,7 +166,7 @@ def same_lattice(one: Fit, other: Fit) -> bool:
     """Whether two fits have the same joints, up to rounding; their origins may be different crossings."""
     grids = [(fit.grid.spacing_x or 0.0, fit.grid.spacing_y, fit.grid.shift) for fit in (one, other)]
     R = one.cam_from_ground.R
-    if not (np.allclose(*grids) and np.allclose(R, other.cam_from_ground.R)):
+    if not (np.allclose(grids[0], grids[1]) and np.allclose(R, other.cam_from_ground.R)):
         return False
     x, y, _ = R.T @ (other.cam_from_ground.t - one.cam_from_ground.t)
     row = y / one.grid.spacing_y
