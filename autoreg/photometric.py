@@ -163,7 +163,11 @@ def _judged(last: Step, fit: Fit, covariance: Float[np.ndarray, "6 6"]) -> Photo
     counted = int((np.bincount(pixels.cell, state.weight) > 0).sum())
     if counted < SPARE_CELLS + len(last.free):
         return None
-    answer, effect = _averaged(last)
+    # A drawn board without noise can leave so few pixels with a say that rounding decides: it tells nothing.
+    try:
+        answer, effect = _averaged(last)
+    except np.linalg.LinAlgError:
+        return None
     if effect > MOST_DESIGN_EFFECT:
         return None
     plain, doubted = answer.plain[:6, :6], answer.added[:6, :6]
