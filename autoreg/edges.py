@@ -47,8 +47,10 @@ def _strips(
     s = at - centre[:, None]
     near, far = (edge(single((s + side * 0.5 * width) / blur))[0].astype(float) for side in (1.0, -1.0))
     both = np.stack([near + far, near - far], -1)
-    orthonormal, upper = np.linalg.qr(both - both.mean(1, keepdims=True))
-    return orthonormal * np.sign(np.diagonal(upper, axis1=1, axis2=2))[:, None, :]
+    step, strip = np.moveaxis(both - both.mean(1, keepdims=True), 2, 0)
+    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    strip -= (step * strip).sum(1, keepdims=True) * step
+    return np.stack([step, strip / np.linalg.norm(strip, axis=1, keepdims=True)], -1)
 
 
 def _explained(centred: Float32[np.ndarray, "n p"], strips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -87,17 +87,17 @@ def _weighed(
     Float[np.ndarray, " h"], Float[np.ndarray, "h d"], Float[np.ndarray, "h d d"], Float[np.ndarray, "h g"]
 ]:
     """Of every combination of sizes: probability, the effects' mean and covariance, and which are there."""
-    value, mean, inside, present = [], [], [], []
-    for sizes in product(*[((0.0,) if doubt.absent else ()) + doubt.sizes for doubt in doubts]):
-        T, prior = np.zeros(len(S)), 0.0
-        for doubt, size in zip(doubts, sizes, strict=True):
-            T[list(doubt.columns)] = size**2
-            prior += np.log(doubt.absent if size == 0 else (1.0 - doubt.absent) / len(doubt.sizes))
-        V = S + np.diag(T)
-        gain = T[:, None] * np.linalg.inv(V)
-        value.append(prior - 0.5 * (estimate @ np.linalg.solve(V, estimate) + np.linalg.slogdet(V)[1]))
-        mean.append(gain @ estimate)
-        inside.append(gain @ S)
-        present.append(np.array(sizes) > 0)
-    weight = np.exp(np.array(value) - max(value))
-    return weight / weight.sum(), np.array(mean), np.array(inside), np.array(present, float)
+    sizes = np.array(
+        list(product(*[((0.0,) if doubt.absent else ()) + doubt.sizes for doubt in doubts])), float
+    )
+    T, prior = np.zeros((len(sizes), len(S))), np.zeros(len(sizes))
+    for doubt, size in zip(doubts, sizes.T, strict=True):
+        T[:, doubt.columns] = size[:, None] ** 2
+        there = (1.0 - doubt.absent) / len(doubt.sizes)
+        prior += np.log(np.where(size == 0, doubt.absent, there))
+    V = S + T[:, :, None] * np.eye(len(S))
+    inverse = np.linalg.inv(V)
+    gain, pulled = T[:, :, None] * inverse, inverse @ estimate
+    value = prior - 0.5 * (pulled @ estimate + np.linalg.slogdet(V)[1])
+    weight = np.exp(value - value.max())
+    return weight / weight.sum(), gain @ estimate, gain @ S, (sizes > 0).astype(float)

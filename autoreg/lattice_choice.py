@@ -35,6 +35,8 @@ RIVAL_NATS = 3.0
 SUBDIVIDE_NATS = 6.0
 # How much better than a lattice a pattern of its absent sides must explain them to speak against it.
 DEPARTS_NATS = 10.0
+# Crossings of two lattices that are nearer to each other than this, in slabs, are the same.
+SAME_PLACE = 1e-3
 # Sides that tell it, the largest in the picture, and places between them that they are held against.
 SUBDIVIDE_SIDES, SUBDIVIDE_CONTROLS = 360, 900
 
@@ -114,13 +116,15 @@ def has_ratio(grid: Grid, slab: tuple[float, float]) -> bool:
     return bool(abs(seen - np.log(max(slab) / min(slab))) < RATIO_TOLERANCE)
 
 
-def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
+def settle_bond(
+    picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | None = None
+) -> Paving | None:
     """The bond that the presence of the single sides shows, with the lattice's axes turned to suit it.
 
     The lattice is coarsened where whole classes of its sides are absent, and refined where sides are found
-    between its joints.
+    between its joints. The `presence` of its sides may be known.
     """
-    best = presented(picture, fit)
+    best = presented(picture, fit, presence)
     for _ in range(6):
         if best is None:
             return None
@@ -129,7 +133,9 @@ def settle_bond(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
         changed = with_pattern(fit, along_x, along_y)
         if changed is None:
             changed = _subdivided(picture, fit)
-        other = None if changed is None else presented(picture, changed)
+        if changed is None or same_lattice(fit, changed):
+            break
+        other = presented(picture, changed)
         if other is None:
             break
         # What a staggered pattern promised must hold when the new lattice is measured by itself. A coarser
@@ -156,9 +162,21 @@ def hopeful(presence: Presence) -> bool:
     return any(best_pattern(presence, family)[0].score > HOPEFUL_NATS for family in (ALONG_X, ALONG_Y))
 
 
-def presented(picture: Float[np.ndarray, "h w"], fit: Fit) -> Paving | None:
+def same_lattice(one: Fit, other: Fit) -> bool:
+    """Whether two fits have the same joints, up to rounding; their origins may be different crossings."""
+    grids = [(fit.grid.spacing_x or 0.0, fit.grid.spacing_y, fit.grid.shift) for fit in (one, other)]
+    R = one.cam_from_ground.R
+    if not (np.allclose(grids[0], grids[1]) and np.allclose(R, other.cam_from_ground.R)):
+        return False
+    x, y, _ = R.T @ (other.cam_from_ground.t - one.cam_from_ground.t)
+    row = y / one.grid.spacing_y
+    places = np.array([row, x / (one.grid.spacing_x or np.inf) - row * one.grid.shift])
+    return bool(np.abs(places - np.round(places)).max() < SAME_PLACE)
+
+
+def presented(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | None = None) -> Paving | None:
     """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do."""
-    presence = presence_of(picture, fit)
+    presence = presence or presence_of(picture, fit)
     if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
         return None
     return Paving(fit, presence, line_evidence(presence, fit.grid))

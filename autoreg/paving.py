@@ -27,7 +27,7 @@ from autoreg.refine import Fit, refine
 from autoreg.segments import Segments
 from autoreg.sharpen import sharpen
 from autoreg.sight import Look, Looks
-from autoreg.stations import Grid
+from autoreg.stations import Grid, visible_sides
 
 # Beyond this margin no other start is tried.
 CERTAIN_NATS = 40.0
@@ -36,7 +36,9 @@ MOST_STARTS = 6
 # The most places at which joints are measured while a lattice is looked for.
 STATIONS = 700
 # How far a fit looks in its rounds, in camera heights, as it grows from the feet, and in a known field.
-OUTWARDS, IN_FIELD = (2.5, 4.0, 7.0), (9.0, 9.0, 9.0)
+OUTWARDS, FIELD_REACH, IN_FIELD_ROUNDS = (2.5, 4.0, 7.0), 9.0, 3
+# Where a round of a fit that looks farther moves its joints by less than this, farther ones are as expected.
+STEADY_PX = 0.1
 # Grounds that are looked at a second time.
 SHARPENED = 6
 # What is seen around the field of a comb when it is looked at by itself, in spacings, and the choice's price.
@@ -236,7 +238,19 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free) -> Paving 
     presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES)
     if len(presence.p) < 6 or not hopeful(presence):
         return None
-    return settle_bond(looks.picture, refine_in_field(looks.picture, fit, field_polygon(presence)))
+    field = field_polygon(presence)
+    if not fills(fit, field):
+        return settle_bond(looks.picture, refine_in_field(looks.picture, fit, field))
+    return settle_bond(looks.picture, fit, presence if len(presence.p) < GLANCE_SIDES else None)
+
+
+def fills(fit: Fit, field: Float[np.ndarray, "k 2"]) -> bool:
+    """Whether a fit rests on all sides that are in view within a field, and on no others."""
+    sides = visible_sides(fit.camera, fit.cam_from_ground, fit.grid, reach=FIELD_REACH, field=field)
+    mine, all_there = (
+        np.unique(np.stack([s.family, s.line, s.cell], 1), axis=0) for s in (fit.stations, sides)
+    )
+    return np.array_equal(mine, all_there)
 
 
 def fit_outwards(
@@ -249,10 +263,10 @@ def fit_outwards(
 ) -> Fit | None:
     """The fit that a start grows to: from the camera's feet outwards, or within a field that is known."""
     camera = plane.camera.scaled(picture.shape[1], picture.shape[0])
-    reaches = OUTWARDS if field is None else IN_FIELD
+    reaches = OUTWARDS if field is None else (FIELD_REACH,) * IN_FIELD_ROUNDS
     return refine(
         picture, camera, cam_from_ground, grid,
-        free=free, search=0.2, reaches=reaches, field=field, limit=STATIONS,
+        free=free, search=0.2, reaches=reaches, field=field, limit=STATIONS, steady_px=STEADY_PX,
     )  # fmt: skip
 
 
@@ -265,7 +279,7 @@ def refine_in_field(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np
         fit.grid,
         free=fit.free,
         search=0.05,
-        reaches=(9.0,),
+        reaches=(FIELD_REACH,),
         strip=fit.strip,
         field=field,
         limit=STATIONS,

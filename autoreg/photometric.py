@@ -52,8 +52,8 @@ MOST_STEPS = 5
 # The first steps look at one pixel of so many.
 ROUGHLY = 5
 # Steps this small, in standard deviations of all that is solved for, are the last of the rough pass and of
-# the whole one: the next would be some thirty times smaller.
-ROUGHLY_STILL_SIGMAS, STILL_SIGMAS = 3.0, 8.0
+# the whole one: the next would be a fifth to a tenth as large.
+ROUGHLY_STILL_SIGMAS, STILL_SIGMAS = 3.0, 1.0
 # The design effect of even slabs: one for white noise, up to five as measured on textured stone. Places that
 # are off by as much as the pixels' noise hides in a cell double it; those of real slabs raise it to hundreds.
 MOST_DESIGN_EFFECT = 8.0
@@ -124,7 +124,8 @@ def on_grey_levels(
     state, last = first_state(pixels.thinned(ROUGHLY), shape, fit), None
     for every in (ROUGHLY, 1):
         some = pixels.thinned(every)
-        state = replace(state, weight=np.ones(len(some)))
+        # The first pass knows no tones that pixels could be held against.
+        state = replace(state, weight=np.ones(len(some)) if last is None else None)
         for _ in range(MOST_STEPS):
             last = stepped(some, state)
             if last is None or not _sound(last.state.shape, shape):
@@ -168,7 +169,11 @@ def _judged(last: Step, fit: Fit, covariance: Float[np.ndarray, "6 6"]) -> Photo
     counted = int((np.bincount(pixels.cell, state.weight) > 0).sum())
     if counted < SPARE_CELLS + len(last.free):
         return None
-    answer, effect = _averaged(last)
+    # A drawn board without noise can leave so few pixels with a say that rounding decides: it tells nothing.
+    try:
+        answer, effect = _averaged(last)
+    except np.linalg.LinAlgError:
+        return None
     if effect > MOST_DESIGN_EFFECT:
         return None
     plain, doubted = answer.plain[:6, :6], answer.added[:6, :6]

@@ -31,13 +31,16 @@ LOOKS, MEANS, UNKNOWNS, DOUBTED = slice(7, 10), slice(10, 12), 12, 7
 
 @dataclass(frozen=True)
 class State:
-    """The unknowns, what is known of the tones, and each pixel's robust weight."""
+    """The unknowns, what is known of the tones, and each pixel's robust weight.
+
+    Where no weights are given, they are those that the state's own tones leave.
+    """
 
     shape: Shape
     fit: Fit
     tones: Float[np.ndarray, "m t"]
     noise: float
-    weight: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"] | None
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,9 @@ def stepped(pixels: JointPixels, state: State) -> Step | None:
     """One Gauss-Newton step of the pose, the looks and all tones."""
     image = JointImage(pixels, state.shape)
     share, weight = image.shares(), state.weight
+    if weight is None:
+        off = pixels.grey - (share * state.tones[pixels.block]).sum(1)
+        weight = _robust(off, state.noise, pixels.cell)
     slopes = image.slopes(state.tones[pixels.block])
     means = 1.0 - share[:, JOINT], share[:, JOINT]
     columns = np.column_stack([image.by_pose(slopes), slopes.by_looks, *means, pixels.grey])
@@ -133,8 +139,7 @@ def cell_scores(last: Step, free: Int[np.ndarray, " k"]) -> Float[np.ndarray, "c
     gather = csr_matrix((last.weight * last.left, (pixels.cell, np.arange(n))), shape=(pixels.cells, n))
     imitated = np.einsum("mtk,mt->mk", last.solved[..., free], last.blocks.sums(last.left[:, None])[..., 0])
     scores = gather @ last.columns[:, free]
-    np.subtract.at(scores, _cell_of_block(last), imitated)
-    return scores
+    return scores - _by_cell(last, imitated)
 
 
 def cell_information(last: Step, free: Int[np.ndarray, " k"]) -> Float[np.ndarray, "c k k"]:
@@ -148,14 +153,15 @@ def cell_information(last: Step, free: Int[np.ndarray, " k"]) -> Float[np.ndarra
     for cell, (start, end) in enumerate(pairwise([0, *ends])):
         told[cell] = weighted[start:end].T @ sorted_columns[start:end]
     imitated = np.einsum("mtp,mtq->mpq", last.sums[..., free], last.solved[..., free])
-    np.subtract.at(told, _cell_of_block(last), imitated)
-    return told
+    return told - _by_cell(last, imitated.reshape(len(imitated), -1)).reshape(told.shape)
 
 
-def _cell_of_block(last: Step) -> Int[np.ndarray, " m"]:
+def _by_cell(last: Step, of_blocks: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "c k"]:
+    """Sums over the blocks of every cell."""
     pixels, cell = last.image.pixels, np.zeros(last.blocks.count, dtype=np.int64)
     cell[pixels.block] = pixels.cell
-    return cell
+    ones, block = np.ones(len(cell)), np.arange(len(cell))
+    return csr_matrix((ones, (cell, block)), shape=(pixels.cells, len(cell))) @ of_blocks
 
 
 def freed(fit: Fit) -> Int[np.ndarray, " k"]:

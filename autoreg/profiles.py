@@ -14,8 +14,8 @@ from autoreg.stations import Stations, project_ground
 
 STEP_PX = 0.5
 ALONG_SAMPLES = 16
-# So many stations are sampled at a time, which bounds memory.
-REMAP_ROWS = 8192
+# So many places are sampled at a time: more do not fit into a processor's cache, and remap takes no more.
+MOST_COLUMNS = 1 << 14
 
 
 @dataclass(frozen=True)
@@ -76,18 +76,13 @@ def sample_profiles(
     count = int(np.ceil(np.max(room, initial=0.0) / STEP_PX))
     at = np.arange(-count, count + 1) * STEP_PX
     n, m, p = len(stations), along_samples, len(at)
-    u = np.empty((n, m, p), np.float32)
-    v = np.empty((n, m, p), np.float32)
-    np.add(line[:, :, :1], at * normal[:, None, :1], out=u, casting="same_kind")
-    np.add(line[:, :, 1:], at * normal[:, None, 1:], out=v, casting="same_kind")
+    place = np.ascontiguousarray(line.transpose(2, 1, 0), np.float32)[..., None]
+    off = (normal.T[..., None] * at).astype(np.float32)
     values = np.empty((n, p), np.float32)
-    # remap takes at most 32,767 rows and columns.
-    for start in range(0, n, REMAP_ROWS):
-        part = slice(start, start + REMAP_ROWS)
-        shape = -1, m * p
-        grey = cv2.remap(
-            picture, u[part].reshape(shape), v[part].reshape(shape), cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )  # fmt: skip
-        grey.reshape(-1, m, p).mean(1, out=values[part])
+    # A row for each of the samples along the joints, so that rows are added up; remap takes at most so many.
+    for start in range(0, n, most := MOST_COLUMNS // p):
+        part = slice(start, start + most)
+        u, v = ((place[k, :, part] + off[k, part]).reshape(m, -1) for k in (0, 1))
+        grey = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        values[part] = (grey.sum(0) / np.float32(m)).reshape(-1, p)
     return Profiles(values, at, centre, normal, np.abs(per_unit), room)

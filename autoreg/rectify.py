@@ -20,6 +20,8 @@ from autoreg.camera import Camera
 
 # Gradients far below the picture's own noise floor are not amplified, in grey levels per pixel.
 FLAT_GRADIENT = 0.15
+# Rows of the ground that are sampled at a time.
+ROWS = 64
 
 
 @dataclass(frozen=True)
@@ -104,9 +106,35 @@ def rectify(
     if axes is None:
         return None
     xs, ys = axes
+    shape = len(ys), len(xs)
+    across_x, across_y = (np.empty(shape, np.float32) for _ in range(2))
+    visible = np.empty(shape, bool)
+    # Some rows at a time, so that all that is computed of them stays in the processor's cache.
+    for top in range(0, len(ys), ROWS):
+        part = slice(top, top + ROWS)
+        across_x[part], across_y[part], visible[part] = _across(
+            gradient, camera, R, xs, ys[part], reach, window
+        )
+    along_y = _contrast(across_y, visible)
+    return Rectified(
+        x=Family(_contrast(across_x, visible), visible, ys, xs),
+        y=Family(np.ascontiguousarray(along_y.T), np.ascontiguousarray(visible.T), xs, ys),
+    )
+
+
+def _across(
+    gradient: Gradient,
+    camera: Camera,
+    R: Float[np.ndarray, "3 3"],
+    xs: Float[np.ndarray, " n"],
+    ys: Float[np.ndarray, " m"],
+    reach: float,
+    window: Window,
+) -> tuple[Float32[np.ndarray, "m n"], Float32[np.ndarray, "m n"], Bool[np.ndarray, "m n"]]:
+    """The gradient across joints along X, and along Y, at points of the ground, and where it is seen."""
     Rf = R.astype(np.float32)
     xf, yf = xs.astype(np.float32)[None, :], ys.astype(np.float32)[:, None]
-    X, Y, Z = (Rf[i, 0] * xf + Rf[i, 1] * yf - Rf[i, 2] for i in range(3))
+    X, Y, Z = (Rf[i, 0] * xf + (Rf[i, 1] * yf - Rf[i, 2]) for i in range(3))
     ahead = Z > 1e-3
     inverse = 1.0 / np.where(ahead, Z, 1.0)
     xn, yn = X * inverse, Y * inverse
@@ -127,11 +155,7 @@ def rectify(
     yu, yv = (Rf[0, 1] - xn * Rf[2, 1]) * fx, (Rf[1, 1] - yn * Rf[2, 1]) * fy
     across_x = (gv * xu - gu * xv) / np.sqrt(xu * xu + xv * xv + 1e-12)
     across_y = (gu * yv - gv * yu) / np.sqrt(yu * yu + yv * yv + 1e-12)
-    along_y = _contrast(across_y, visible)
-    return Rectified(
-        x=Family(_contrast(across_x, visible), visible, ys, xs),
-        y=Family(np.ascontiguousarray(along_y.T), np.ascontiguousarray(visible.T), xs, ys),
-    )
+    return across_x, across_y, visible
 
 
 def _contrast(gradient: np.ndarray, visible: np.ndarray) -> np.ndarray:

@@ -98,6 +98,7 @@ def refine(
     strip: Strip | None = None,
     field: Float[np.ndarray, "k 2"] | None = None,
     limit: int = CAPACITY,
+    steady_px: float = 0.0,
 ) -> Fit | None:
     """The pose at which the projected joints lie on the photographed ones; None if nothing can be measured.
 
@@ -112,15 +113,19 @@ def refine(
         strip: looks of the joints, if known.
         field: where on the ground the paving is, a convex polygon; everywhere if None.
         limit: the most stations that are measured.
+        steady_px: the rounds end with the first one that moves the joints by less than this (RMS).
     """
     fit: Fit | None = None
     for reach in reaches:
+        before = (camera, cam_from_ground, grid)
         now = _round(picture, camera, cam_from_ground, grid, strip, free, search, reach, field, limit)
         if now is None:
             return fit
         fit = now
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
         search = 0.5 * search if search >= 0.06 else 0.0
+        if _motion_px(fit, *before) < steady_px:
+            break
     return fit
 
 

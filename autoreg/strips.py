@@ -62,7 +62,7 @@ def edge(x: Float32[np.ndarray, "*n"]) -> tuple[Float32[np.ndarray, "*n"], Float
     t = 1.0 / (1.0 + np.float32(0.3275911 * np.sqrt(0.5)) * np.abs(x))
     tail = t * (0.127414796 + t * (-0.142248368 + t * (0.710706871 + t * (-0.726576014 + t * 0.530702715))))
     tail *= bell
-    return np.where(x < 0, tail, 1.0 - tail), bell
+    return np.abs(tail - (x >= 0)), bell
 
 
 def single(values: np.ndarray) -> Float32[np.ndarray, "*n"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import csr_matrix
+from scipy.sparse import csc_matrix
 
 from autoreg.joint_pixels import JOINT, TONES, JointPixels
 
@@ -18,10 +18,11 @@ class Blocks:
     def __init__(self, pixels: JointPixels, share: np.ndarray, weight: np.ndarray) -> None:
         n, m = share.shape
         self.count = pixels.blocks
-        pixel, tone = np.nonzero(share > 1e-6)
-        value = share[pixel, tone] * weight[pixel]
-        column = pixels.block[pixel] * m + tone
-        self.gather = csr_matrix((value, (column, pixel)), shape=(self.count * m, n))
+        told = share > 1e-6
+        place = (pixels.block * m)[:, None] + np.arange(m)
+        ends = np.r_[0, np.cumsum(told.sum(1))]
+        entries = (share * weight[:, None])[told], place[told], ends
+        self.gather = csc_matrix(entries, shape=(self.count * m, n))
         self.normal = self.sums(share)
 
     def sums(self, columns: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m t c"]:

@@ -7,11 +7,12 @@ import pytest
 from paved import GRAVEL, gray_of, misses, nudged
 
 from autoreg.freedom import Free
+from autoreg.ground_frame import with_origin
 from autoreg.joint_looks import Strip
-from autoreg.lattice_choice import Paving, rival, settle_bond, with_pattern
+from autoreg.lattice_choice import Paving, rival, same_lattice, settle_bond, with_pattern
 from autoreg.patterns import Pattern
-from autoreg.paving import comb_planes, lay_lattice
-from autoreg.presence import presence_of
+from autoreg.paving import comb_planes, fills, lay_lattice, refine_in_field
+from autoreg.presence import field_polygon, presence_of
 from autoreg.refine import Fit
 from autoreg.segments import detect_segments
 from autoreg.sight import looks_at
@@ -144,6 +145,29 @@ def test_from_a_roughly_known_plane_to_the_lattice(name: str, request: pytest.Fi
     angle_deg, crossing_px = misses(fit.cam_from_ground, spacing_of(fit), photo)
     assert angle_deg < 0.05
     assert crossing_px < 0.3
+
+
+def test_a_fit_fills_the_field_that_it_was_made_in_and_no_other(stack_fit: Fit, stack_photo: SyntheticPhoto):
+    field = field_polygon(presence_of(gray_of(stack_photo), stack_fit))
+    fit = refine_in_field(gray_of(stack_photo), stack_fit, field)
+    assert fills(fit, field)
+    part = field.mean(0) + 0.7 * (field - field.mean(0))
+    assert not fills(fit, part)
+    assert not fills(refine_in_field(gray_of(stack_photo), stack_fit, part), field)
+
+
+def test_a_lattice_is_the_same_from_any_of_its_crossings_and_from_no_other_place(half_fit: Fit):
+    a, b = spacing_of(half_fit)
+
+    def same(column: float, row: float) -> bool:
+        x = (column + row * half_fit.grid.shift) * a
+        pose = with_origin(half_fit.cam_from_ground, x, row * b)
+        return same_lattice(half_fit, replace(half_fit, cam_from_ground=pose))
+
+    assert all(same(*crossing) for crossing in ((0, 0), (3, 0), (-1, 2), (2, -3)))
+    assert not any(same(*place) for place in ((0.5, 0), (0, 0.5)))
+    wider = replace(half_fit, grid=replace(half_fit.grid, spacing_x=2 * a))
+    assert not same_lattice(half_fit, wider)
 
 
 def test_a_lattice_in_another_unit_is_no_rival(stack_fit: Fit, stack_photo: SyntheticPhoto):

@@ -105,6 +105,21 @@ def test_irregular_slabs_scatter_as_much_as_they_were_moved():
     assert np.median(np.abs(normalised)) < 1.5
 
 
+def test_a_fit_grows_no_farther_once_a_round_moves_nothing(stack_photo: SyntheticPhoto, stack_fit: Fit):
+    def reached(steady_px: float) -> float:
+        fit = refine(
+            gray_of(stack_photo), CAMERA, stack_fit.cam_from_ground, stack_fit.grid,
+            free=Free(), search=0.1, reaches=(3.0, 6.0), strip=stack_fit.strip, steady_px=steady_px,
+        )  # fmt: skip
+        assert fit is not None
+        eye = fit.cam_from_ground.origin_in_a
+        return float(np.linalg.norm(fit.stations.ground - eye[:2], axis=1).max() / eye[2])
+
+    # The fit that it starts from is the answer already.
+    assert reached(steady_px=0.1) < 3.5
+    assert reached(steady_px=0.0) > 4.0
+
+
 def test_a_free_focal_length_comes_back(stack_photo: SyntheticPhoto):
     wrong = replace(CAMERA, fx=1.02 * CAMERA.fx, fy=1.02 * CAMERA.fy)
     fit = fit_of(replace(stack_photo, camera=wrong), Free(focal=True))
