@@ -25,10 +25,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtri
 
-from autoreg import residuals as terms
+from autoreg import joint_data as terms
 from autoreg.design_effect import design_effects
 from autoreg.freedom import stretched
 from autoreg.image_doubts import Averaged, Doubt, averaged_over
+from autoreg.joint_data import PARAMETERS
 from autoreg.joint_image import Shape
 from autoreg.joint_pixels import CLEAR_BLURS, joint_pixels
 from autoreg.photometric_step import (
@@ -43,7 +44,6 @@ from autoreg.photometric_step import (
     with_doubts,
 )
 from autoreg.refine import Fit
-from autoreg.residuals import PARAMETERS
 from autoreg.stations import Sides, visible_sides
 
 # Pixels that are looked at: more tell little more, and cost time.

@@ -25,9 +25,9 @@ from scipy.sparse import diags, hstack, identity
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from autoreg.design_effect import drawn_design_effect
+from autoreg.joint_data import PARAMETERS
 from autoreg.measured_joints import measured_joints
 from autoreg.refine import Fit
-from autoreg.residuals import PARAMETERS
 from autoreg.slab_effects import bloom_effects, bow_effects, relief_effects, slab_effects, width_effects
 from autoreg.solver import CAUCHY_SIGMAS, Prior
 
