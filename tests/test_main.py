@@ -58,3 +58,41 @@ def test_the_module_is_the_command():
     )  # fmt: skip
     assert done.returncode == 2
     assert "no-such-photo.jpg does not exist" in done.stderr
+
+
+def test_every_module_can_be_imported_without_jaxtyping():
+    code = """
+import importlib, pkgutil, sys
+from autoreg import __main__ as command
+sys.modules["jaxtyping"] = command._Shapes("jaxtyping")
+import autoreg
+for module in pkgutil.walk_packages(autoreg.__path__, "autoreg."):
+    importlib.import_module(module.name)
+assert not [name for name in sys.modules if name.startswith("jaxtyping.")]
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=120, cwd=ROOT
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_photo_is_aligned_without_jaxtyping_and_without_jax_once_the_solver_is_kept(tmp_path):
+    photo, camera = (ROOT / "autoreg" / "data" / f"terrace.{end}" for end in ("jpg", "camera.json"))
+    words = ["align", str(photo), "--camera", str(camera), "--slab", "0.5", "-o", str(tmp_path / "out")]
+    # What the process imported by the time it ends.
+    code = (
+        "import atexit, sys\n"
+        "named = {'jax', 'jaxopt', 'jaxtyping._array_types'}\n"
+        "atexit.register(lambda: print(sorted(named & {*sys.modules})))\n"
+        f"sys.argv = ['autoreg', *{words!r}]\n"
+        "from autoreg.__main__ import program; program()\n"
+    )
+    own = os.environ | {"PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    cold, warm = (
+        subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True, timeout=300, env=own
+        )
+        for _ in range(2)
+    )
+    assert (cold.returncode, warm.returncode) == (0, 0)
+    assert (cold.stdout, warm.stdout) == ("['jax', 'jaxopt']\n", "[]\n")
