@@ -35,6 +35,8 @@ class _Shapes(ModuleType):
 def program() -> None:
     """Run the command line, and end the process with the contract's exit code."""
     gc.set_threshold(GARBAGE)
+    # Alignment and calibration hold BLAS to one thread (blas_threads.py); here no others need be started.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.modules.setdefault("jaxtyping", _Shapes("jaxtyping"))
     from autoreg.cli import main
 
