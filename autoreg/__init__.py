@@ -7,7 +7,7 @@ are first used: `import autoreg` costs nothing and does not import JAX.
 from __future__ import annotations
 
 import sys
-from importlib import import_module, metadata
+from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +68,9 @@ def __getattr__(name: str) -> Any:
     if name == "align":
         return import_module("autoreg.align")
     if name == "__version__":
+        # It takes longer to import than all the rest here.
+        from importlib import metadata
+
         try:
             return metadata.version("autoreg")
         except metadata.PackageNotFoundError:

@@ -17,15 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from autoreg.residuals import (
-    PARAMETERS,
-    JointData,
-    Numbers,
-    joint_distance,
-    moved_projection,
-    robust,
-    robust_curvature,
-)
+from autoreg.joint_data import PARAMETERS, JointData
+from autoreg.residuals import Numbers, joint_distance, moved_projection, robust, robust_curvature
 from autoreg.solver import (
     CAUCHY_SIGMAS,
     FIRST_DAMPING,

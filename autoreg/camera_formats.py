@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from xml.etree import ElementTree
 
 import numpy as np
-import yaml
 
 from autoreg.camera import Camera
 from autoreg.camera_fields import array, distortion, find, number, numbers, scalar, shown, whole
@@ -18,7 +17,6 @@ from autoreg.errors import InputError
 FORMATS = "autoreg JSON, OpenCV YAML or XML, ROS camera_info YAML, COLMAP cameras.txt"
 
 _COLMAP_LINE = re.compile(r"^\s*\d+\s+[A-Z][A-Z0-9_]*\s+\S+\s+\S+")
-_YAML_HEADER = re.compile(r"^%YAML[^\n]*\n?")
 
 # Each field under the names that calibration.cpp, the calibration tutorial, interactive-calibration and
 # ROS (camera_info files and dumped messages) give it, in lower case.
@@ -108,30 +106,13 @@ def _xml_value(element: ElementTree.Element) -> object:
     return words[0] if len(words) == 1 else words
 
 
-class _YamlLoader(yaml.SafeLoader):
-    """YAML with OpenCV's tagged matrices as plain mappings.
-
-    cv2.FileStorage is not used to read: on damaged files it corrupts memory and takes the process along.
-    """
-
-
-def _opencv_mapping(loader: yaml.SafeLoader, _tag: str, node: yaml.Node) -> object:
-    if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(None, None, "expected a matrix", node.start_mark)
-    return loader.construct_mapping(node, deep=True)
-
-
-_YamlLoader.add_multi_constructor("tag:yaml.org,2002:opencv-", _opencv_mapping)
-
-
 def _from_yaml(text: str) -> Camera:
     """The camera of OpenCV's YAML, a ROS camera_info file, or a dumped CameraInfo message."""
-    # OpenCV 4.x writes "%YAML:1.0", which is no YAML, and 5.0 "%YAML 1.2".
-    text = _YAML_HEADER.sub("", text.lstrip())
+    from autoreg.camera_yaml import first_document
+
     try:
-        # A dumped message ends in "---", an empty second document.
-        content = next(iter(yaml.load_all(text, _YamlLoader)), None)
-    except (yaml.YAMLError, ValueError) as error:
+        content = first_document(text)
+    except ValueError as error:
         place = shown(" ".join(str(error).split()), 150)
         raise InputError(f"in no known format (as YAML: {place}); give one of {FORMATS}") from error
     if not isinstance(content, dict):

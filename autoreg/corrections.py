@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from autoreg import residuals as terms
+from autoreg import joint_data as terms
 from autoreg.geometry import Rigid
 from autoreg.refine import Fit
 from autoreg.stations import ALONG_Y

@@ -9,8 +9,6 @@ import warnings
 import zlib
 from dataclasses import dataclass
 
-from PIL import Image
-
 _ORIENTATION, _FOCAL_MM, _FOCAL_35MM = 0x0112, 0x920A, 0xA405
 _F_NUMBER = 0x829D
 _MAKER, _MODEL = 0x010F, 0x0110
@@ -58,13 +56,18 @@ class Exif:
 def read_exif(data: bytes) -> Exif:
     """The EXIF of a picture file's bytes; empty where there is none or it is broken."""
     block = _exif_block(data)
+    if block is None and data.startswith((b"\xff\xd8", b"\x89PNG")):
+        return Exif()
+    # Where there is no EXIF, nothing need be imported to read it.
+    from PIL import Image
+
     exif = Image.Exif()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             if block is not None:
                 exif.load(block)
-            elif not data.startswith((b"\xff\xd8", b"\x89PNG")):
+            else:
                 exif = Image.open(io.BytesIO(data)).getexif()
             # Some programs that rewrite a file put entries of the camera's directory into the main one.
             details = {**exif, **exif.get_ifd(_EXIF_IFD)}

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from autoreg import residuals as terms
+from autoreg import joint_data as terms
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
-from autoreg.residuals import PARAMETERS
+from autoreg.joint_data import PARAMETERS
 from autoreg.solver import Prior, Solution
 from autoreg.stations import Grid
 

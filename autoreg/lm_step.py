@@ -1,72 +1,19 @@
-"""One step of jaxopt's Levenberg-Marquardt, compiled once; the only file that knows jaxopt.
+"""One step of jaxopt's Levenberg-Marquardt, traced and compiled; the only file that knows jaxopt.
 
-jaxopt is imported where the step is traced. A step that an earlier process compiled is fetched from a folder,
-machine code and all, and then neither is jaxopt imported nor anything traced.
+It is imported where a step has to be compiled, and not where one is fetched that an earlier process compiled.
 """
 
 from __future__ import annotations
 
-import threading
 import warnings
-from collections.abc import Callable
-from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from autoreg import residuals
-from autoreg.machine_code import fetch_code, fingerprint, keep_code
-from autoreg.residuals import PARAMETERS, JointData, Numbers, distances_and_jacobian, robust, robust_curvature
-
-# Shapes are fixed, so that one compiled function serves every photo.
-CAPACITY = 2048
-
-
-class Problem(NamedTuple):
-    """What a step needs to know.
-
-    The solver's variables are the parameters divided by `unit`, which is zero for a frozen one.
-    """
-
-    data: JointData
-    unit: Float[Numbers, " p"]
-    prior_mean: Float[Numbers, " p"]
-    prior_weight: Float[Numbers, " p"]
-
-
-class State(NamedTuple):
-    """What one step hands on to the next: jaxopt's state without what it does not use.
-
-    Attributes:
-        damping_factor: Marquardt's.
-        increase_factor: by which the damping grows after the next step that fails.
-        residual: robust residuals of the joints and of the prior.
-        value: the cost, half their sum of squares.
-        delta: the last step.
-        gradient: of the cost.
-        jac: derivatives of the residuals by the variables.
-        jt: the same, transposed.
-        jtj: what stands for the cost's second derivatives.
-        aux: the joints' own distances and derivatives, and the cost's second derivatives.
-    """
-
-    damping_factor: Any
-    increase_factor: Any
-    residual: Any
-    value: Any
-    delta: Any
-    gradient: Any
-    jac: Any
-    jt: Any
-    jtj: Any
-    aux: Any
-
-
-Step = Callable[[Any, State, Problem], tuple[Any, State]]
+from autoreg.residuals import distances_and_jacobian, robust, robust_curvature
+from autoreg.step_state import Problem, State, example_arguments
 
 
 class _Evaluation(NamedTuple):
@@ -104,7 +51,26 @@ def _jacobian(q: Float[Array, " p"], problem: Problem) -> Array:
     return _evaluate(q, problem).jacobian
 
 
-def _traced() -> Any:
+def compiled_with_jax() -> jax.stages.Compiled:
+    """The step, compiled for 64-bit numbers and this computer's processor.
+
+    The step is so small that an accelerator would mostly wait for its numbers, and answers are the same
+    on every computer of one kind.
+    """
+    with jax.enable_x64(True), jax.default_device(_processor()):
+        return _traced().compile()
+
+
+def _processor() -> Any:
+    """Where to compile for; None is jax's own choice."""
+    try:
+        return jax.local_devices(backend="cpu")[0]
+    except RuntimeError:
+        # Whoever runs the program has told jax to use nothing but something else.
+        return None
+
+
+def _traced() -> jax.stages.Lowered:
     """The step as jax sees it, ready to be compiled."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -123,62 +89,5 @@ def _traced() -> Any:
         moved = solver.update(q, LevenbergMarquardtState(**unused, **state._asdict()), problem)
         return moved.params, State(*(getattr(moved.state, name) for name in State._fields))
 
-    return jax.jit(step).lower(*_example())
-
-
-def _example() -> tuple[np.ndarray, State, Problem]:
-    """Arguments of a step, of the right shapes."""
-    n = CAPACITY
-    rows = np.zeros((n, 2))
-    data = JointData(rows, rows, rows, np.zeros(n), np.eye(3), np.ones(3), np.zeros(12), np.ones(PARAMETERS))
-    return np.zeros(PARAMETERS), blank_state(), Problem(data, *(np.zeros(PARAMETERS) for _ in range(3)))
-
-
-@cache
-def blank_state() -> State:
-    """A state from which a step stays where it is and only evaluates: infinite cost, and no gradient.
-
-    jaxopt's own first state would need a second copy of the evaluation to be traced and compiled.
-    """
-    n, p = CAPACITY, PARAMETERS
-    rows = n + p
-    return State(
-        damping_factor=np.float64(1.0),
-        increase_factor=np.float64(2.0),
-        residual=np.zeros(rows),
-        value=np.float64(np.inf),
-        delta=np.zeros(p),
-        gradient=np.zeros(p),
-        jac=np.zeros((rows, p)),
-        jt=np.zeros((p, rows)),
-        jtj=np.zeros((p, p)),
-        aux=(np.zeros(n), np.zeros((n, p)), np.zeros((p, p))),
-    )
-
-
-_COMPILING = threading.Lock()
-_STEP: list[Step] = []
-
-
-def compiled_step(folder: Path | None = None) -> Step:
-    """The step, compiled once for this process; jax's 64-bit mode must be on.
-
-    Args:
-        folder: where an earlier process may have left its machine code, and where else it is left.
-    """
-    # Whoever comes while another thread compiles (beside the reading of a photo) waits for it.
-    with _COMPILING:
-        if not _STEP:
-            _STEP.append(_traced().compile() if folder is None else _kept(folder))
-        return _STEP[0]
-
-
-def _kept(folder: Path) -> Step:
-    arguments = _example()
-    path = folder / f"step-{fingerprint(__file__, residuals.__file__, packages=('jaxopt',))}"
-    fetched = fetch_code(path, arguments, arguments[:2])
-    if fetched is not None:
-        return fetched
-    step = _traced().compile()
-    keep_code(path, step)
-    return step
+    # Arguments that the step does not use stay its arguments, so that nobody need know which they are.
+    return jax.jit(step, keep_unused=True).lower(*example_arguments())

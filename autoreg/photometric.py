@@ -25,10 +25,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import chdtri
 
-from autoreg import residuals as terms
+from autoreg import joint_data as terms
 from autoreg.design_effect import design_effects
 from autoreg.freedom import stretched
 from autoreg.image_doubts import Averaged, Doubt, averaged_over
+from autoreg.joint_data import PARAMETERS
 from autoreg.joint_image import Shape
 from autoreg.joint_pixels import CLEAR_BLURS, joint_pixels
 from autoreg.photometric_step import (
@@ -43,7 +44,6 @@ from autoreg.photometric_step import (
     with_doubts,
 )
 from autoreg.refine import Fit
-from autoreg.residuals import PARAMETERS
 from autoreg.stations import Sides, visible_sides
 
 # Pixels that are looked at: more tell little more, and cost time.
@@ -169,11 +169,7 @@ def _judged(last: Step, fit: Fit, covariance: Float[np.ndarray, "6 6"]) -> Photo
     counted = int((np.bincount(pixels.cell, state.weight) > 0).sum())
     if counted < SPARE_CELLS + len(last.free):
         return None
-    # A drawn board without noise can leave so few pixels with a say that rounding decides: it tells nothing.
-    try:
-        answer, effect = _averaged(last)
-    except np.linalg.LinAlgError:
-        return None
+    answer, effect = _averaged(last)
     if effect > MOST_DESIGN_EFFECT:
         return None
     plain, doubted = answer.plain[:6, :6], answer.added[:6, :6]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 
-from autoreg import residuals as terms
+from autoreg import joint_data as terms
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
 from autoreg.joint_image import JointImage, Shape, Slopes, with_looks
 from autoreg.joint_pixels import JOINT, JointPixels

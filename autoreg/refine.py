@@ -12,6 +12,7 @@ from autoreg.camera import Camera
 from autoreg.edges import Offsets, fit_offsets
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
+from autoreg.joint_data import JointData
 from autoreg.joint_looks import (
     DARK,
     Strip,
@@ -25,7 +26,6 @@ from autoreg.joint_looks import (
     width_px_of,
 )
 from autoreg.profiles import Profiles, sample_profiles
-from autoreg.residuals import JointData
 from autoreg.scatter import beside_rim, scatter_model
 from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Solution, solve_joints
 from autoreg.stations import (

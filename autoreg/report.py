@@ -6,7 +6,6 @@ import json
 import math
 import platform
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -168,6 +167,9 @@ def versions() -> Report:
 
 
 def _version(distribution: str) -> str | None:
+    # It takes long to import, and is not needed before a photo is aligned.
+    from importlib import metadata
+
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:

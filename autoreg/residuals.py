@@ -12,29 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-# Parameters: rotation vector (rad) and translation of a small motion on the camera's side, logarithm of the
-# spacing ratio, logarithm of the focal length, principal point (px), first radial distortion coefficient.
-PARAMETERS = 11
-ROTATION, TRANSLATION, RATIO, FOCAL, CENTRE, RADIAL = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10), 10
+from autoreg.joint_data import CENTRE, FOCAL, RADIAL, RATIO, ROTATION, TRANSLATION, JointData
 
 Numbers = Array | np.ndarray
-
-
-class JointData(NamedTuple):
-    """Measured joints, the pose around which small motions are taken, and the camera.
-
-    A padded row has zero weight. `intrinsics` are fx fy cx cy and the eight distortion coefficients; `scale`
-    is the size of one unit of each parameter that the functions below take.
-    """
-
-    ground: Float[Numbers, "n 2"]
-    measured_px: Float[Numbers, "n 2"]
-    normal: Float[Numbers, "n 2"]
-    weight: Float[Numbers, " n"]
-    R: Float[Numbers, "3 3"]
-    t: Float[Numbers, "3"]
-    intrinsics: Float[Numbers, "12"]
-    scale: Float[Numbers, " p"]
 
 
 class Projection(NamedTuple):

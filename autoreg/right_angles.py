@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from autoreg import residuals as terms
+from autoreg import joint_data as terms
 from autoreg.cross_joints import FEWEST_JOINTS, OffSquare, off_angle, off_square
 from autoreg.directions import LAYING_SPREAD_RAD
 from autoreg.freedom import Free, moved_camera, moved_pose

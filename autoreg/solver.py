@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.lm_step import CAPACITY, Problem, State, blank_state, compiled_step
-from autoreg.residuals import PARAMETERS, JointData
+from autoreg.compiled_step import compiled_step
+from autoreg.joint_data import PARAMETERS, JointData
+from autoreg.step_state import CAPACITY, Problem, State, blank_state
 
 # A joint that lies this many standard deviations off counts half.
 CAUCHY_SIGMAS = 2.4
@@ -79,15 +79,14 @@ def solve_joints(
         raise ValueError(f"data: from 1 to {CAPACITY} joints can be solved at once, got {n}")
     scale = np.asarray(data.scale, float)
     prior = prior or Prior(np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf))
-    with jax.enable_x64(True):
-        problem = Problem(
-            data=jax.device_put(padded(data, CAPACITY)),
-            unit=np.asarray(free, float),
-            prior_mean=prior.mean / scale,
-            prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma),
-        )
-        q, state, unit, steps = _minimise(problem, rough)
-    distances, jacobian = (np.asarray(v)[:n] for v in state.aux[:2])
+    problem = Problem(
+        data=padded(data, CAPACITY),
+        unit=np.asarray(free, float),
+        prior_mean=prior.mean / scale,
+        prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma),
+    )
+    q, state, unit, steps = _minimise(problem, rough)
+    distances, jacobian = (v[:n] for v in state.aux[:2])
     cost = float(state.value)
     outcome = outcome_of(cost, _promised(state))
     return Solution(outcome, q * unit * scale, cost, distances, jacobian / scale, steps)
@@ -119,9 +118,9 @@ def _minimise(problem: Problem, rough: bool) -> tuple[np.ndarray, State, np.ndar
     q = np.zeros(PARAMETERS)
     _, state = step(q, blank_state(), problem)
     # Columns of unit length, since jaxopt's damping is the same for all variables.
-    length = np.sqrt(np.diagonal(np.asarray(state.jtj)))
+    length = np.sqrt(np.diagonal(state.jtj))
     finer = 1.0 / np.where(length > 0, length, 1.0)
-    unit = np.asarray(problem.unit) * finer
+    unit = problem.unit * finer
     problem = problem._replace(unit=unit)
     state = _curved(_rescaled(state, finer)._replace(damping_factor=np.float64(FIRST_DAMPING)))
     most_steps, stop = (ROUGH_STEPS, ROUGH_STOP) if rough else (MOST_STEPS, STOP)
@@ -139,19 +138,19 @@ def _minimise(problem: Problem, rough: bool) -> tuple[np.ndarray, State, np.ndar
         else:
             # The step left the range of floating point, and jaxopt's blending of old and new lets NaN in.
             state = state._replace(damping_factor=state.damping_factor * 100.0)
-    return np.asarray(q), state, unit, steps
+    return q, state, unit, steps
 
 
 def _rescaled(state: State, unit: np.ndarray) -> State:
     """The state at zero with its variables in other units: it need not be evaluated again."""
-    jac, both = np.asarray(state.jac) * unit, np.outer(unit, unit)
+    jac, both = state.jac * unit, np.outer(unit, unit)
     distances, jacobian, curvature = state.aux
     return state._replace(
-        gradient=np.asarray(state.gradient) * unit,
+        gradient=state.gradient * unit,
         jac=jac,
         jt=np.ascontiguousarray(jac.T),
-        jtj=np.asarray(state.jtj) * both,
-        aux=(distances, jacobian, np.asarray(curvature) * both),
+        jtj=state.jtj * both,
+        aux=(distances, jacobian, curvature * both),
     )
 
 
@@ -161,7 +160,7 @@ def _curved(state: State) -> State:
     Gauss-Newton on robust residuals creeps (its rate falls to that of the doubted joints), and then promises
     too little: what looks like a minimum can be standard deviations away from it.
     """
-    newton = np.asarray(state.aux[2])
+    newton = state.aux[2]
     if not np.isfinite(newton).all():
         return state
     values = np.linalg.eigvalsh(newton)
@@ -172,7 +171,7 @@ def _curved(state: State) -> State:
 
 def _promised(state: State) -> float:
     """Decrease of the cost that a Gauss-Newton step promises: a measure free of scales and of the damping."""
-    gradient, normal = np.asarray(state.gradient), np.asarray(state.jtj)
+    gradient, normal = state.gradient, state.jtj
     if not (np.isfinite(gradient).all() and np.isfinite(normal).all()):
         return np.nan
     # Frozen and undetermined variables promise nothing.
@@ -188,5 +187,4 @@ def warm_up(folder: Path | None = None) -> None:
         folder: where it is fetched from if an earlier process left it there, and else kept: one's own, since
             what it holds is run unseen. It is for programs to give, not for libraries.
     """
-    with jax.enable_x64(True):
-        compiled_step(folder)
+    compiled_step(folder)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from autoreg import residuals as terms
+from autoreg import joint_data as terms
 from autoreg.bond import customary_shift
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid, rotation_from_vector
-from autoreg.residuals import JointData
+from autoreg.joint_data import JointData
 from autoreg.solver import CAUCHY_SIGMAS
 from autoreg.stations import project_ground
 from autoreg.synthetic import SyntheticScene

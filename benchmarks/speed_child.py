@@ -26,7 +26,7 @@ def floor(photo: str) -> dict[str, Any]:
     """What no such program can do without."""
     import cv2
 
-    # The command needs jax, so the floor pays for it too.
+    # Whoever solves with jax imports it. The command does, until its solver is kept.
     __import__("jax")
     gray = cv2.imread(photo, cv2.IMREAD_GRAYSCALE)
     assert gray is not None

@@ -5,7 +5,8 @@ from __future__ import annotations
 import jax
 from jaxtyping import Array, Float
 
-from autoreg.residuals import JointData, joint_distance, moved_projection
+from autoreg.joint_data import JointData
+from autoreg.residuals import joint_distance, moved_projection
 
 
 def joint_distances(parameters: Float[Array, " p"], data: JointData) -> Float[Array, " n"]:

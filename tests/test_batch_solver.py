@@ -5,7 +5,7 @@ import pytest
 from test_solver import problem
 
 from autoreg.batch_solver import solve_batch
-from autoreg.residuals import FOCAL, PARAMETERS, RATIO
+from autoreg.joint_data import FOCAL, PARAMETERS, RATIO
 from autoreg.solver import Prior, solve_joints
 
 # Two problems of 113 to 128 joints with these eight free: what is compiled for one test serves all.

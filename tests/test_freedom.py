@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from paved import CAMERA
 
-from autoreg import residuals as terms
+from autoreg import joint_data as terms
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
+from autoreg.joint_data import PARAMETERS
 from autoreg.refine import Fit
-from autoreg.residuals import PARAMETERS
 from autoreg.solver import Solution
 from autoreg.stations import Grid
 

@@ -8,8 +8,8 @@ from paved import CAMERA, CHECKER, HALF_BOND, STACK, fit_of, gray_of, misses, nu
 
 from autoreg.freedom import Free
 from autoreg.geometry import angle_between_rotations
+from autoreg.joint_data import PARAMETERS
 from autoreg.refine import Fit, refine, refine_until_still
-from autoreg.residuals import PARAMETERS
 from autoreg.solver import Solution
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
 from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving

@@ -1,84 +1,20 @@
-import hashlib
-import subprocess
-import sys
 import threading
-from dataclasses import dataclass
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from handmade import looking
+from handmade_joints import CAMERA, POSE, SIGMA_PX, TRUTH, Start, problem
 from plain_residuals import joint_distances
 from scipy.optimize import least_squares
 
 from autoreg import solver
-from autoreg.camera import Camera
 from autoreg.geometry import Rigid, angle_between_rotations, rotation_from_vector
-from autoreg.residuals import (
-    CENTRE,
-    FOCAL,
-    PARAMETERS,
-    RADIAL,
-    RATIO,
-    ROTATION,
-    TRANSLATION,
-    JointData,
-    robust,
-)
+from autoreg.joint_data import CENTRE, FOCAL, PARAMETERS, RADIAL, RATIO, ROTATION, TRANSLATION, JointData
+from autoreg.residuals import robust
 from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Prior, solve_joints
 
-CAMERA = Camera(1600, 1200, 1300.0, 1290.0, 810.0, 590.0, (-0.12, 0.04, 0.0005, -0.0004))
-TRUTH = looking([-0.4, -3.0, 1.6], [0.1, 0.6, 0.0], 0.04)
-POSE = np.r_[np.ones(6), np.zeros(5)]
 EVERYTHING = np.ones(PARAMETERS)
-SIGMA_PX = 0.1
-ROOT = Path(__file__).parents[1]
-
-
-@dataclass(frozen=True)
-class Start:
-    """How far from the truth a solve begins."""
-
-    turn_rad: float = 0.01
-    shift: float = 0.03
-
-
-def problem(
-    seed: int = 0,
-    n: int = 300,
-    noise_px: float = 0.0,
-    outliers: float = 0.0,
-    start: Start = Start(),
-    sigma_px: float = SIGMA_PX,
-) -> JointData:
-    """Joints seen by the true camera, with noise, and a pose beside the true one."""
-    rng = np.random.default_rng(seed)
-    along_x = np.arange(n) % 2 == 0
-    ground = rng.uniform([-1.5, -1.0], [1.5, 4.0], (n, 2))
-    points = np.column_stack([ground, np.zeros(n)])
-    direction = np.where(along_x[:, None], [1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0])
-    seen = CAMERA.project(TRUTH.apply(points))
-    tangent = CAMERA.project(TRUTH.apply(points + direction)) - seen
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-    across = noise_px * rng.normal(size=n)
-    wild = rng.random(n) < outliers
-    across = np.where(wild, rng.uniform(-8, 8, n), across)
-    # Along the joint nothing is known, so the measured point may lie anywhere there.
-    measured = seen + across[:, None] * normal + rng.normal(0, 3, (n, 1)) * tangent
-    turn = rotation_from_vector(start.turn_rad * rng.normal(size=3))
-    return JointData(
-        ground=ground,
-        measured_px=measured,
-        normal=normal,
-        weight=np.full(n, 1 / (CAUCHY_SIGMAS * sigma_px)),
-        R=turn @ TRUTH.R,
-        t=turn @ TRUTH.t + start.shift * rng.normal(size=3),
-        intrinsics=np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, *CAMERA.dist]),
-        scale=np.array([1.0] * 3 + [1.6] * 3 + [1.0, 1.0, CAMERA.fx, CAMERA.fx, 1.0]),
-    )
 
 
 def solved_pose(data: JointData, parameters: np.ndarray) -> Rigid:
@@ -363,39 +299,3 @@ def test_threads_that_solve_at_once_agree():
     assert len(found) == 3
     np.testing.assert_array_equal(found[0], found[1])
     np.testing.assert_array_equal(found[0], found[2])
-
-
-def in_a_process(folder: Path) -> list[str]:
-    """Where a new process had the step from, and what it then solved."""
-    code = (
-        "import sys, pathlib; sys.path.insert(0, 'tests');"
-        "from autoreg import solver; solver.warm_up(pathlib.Path(sys.argv[1]));"
-        "print('traced' if 'jaxopt' in sys.modules else 'fetched');"
-        "from test_solver import problem, POSE;"
-        "print(solver.solve_joints(problem(13, noise_px=0.1), POSE).parameters.tobytes().hex())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code, str(folder)],
-        capture_output=True, text=True, check=True, timeout=300, cwd=ROOT,
-    )  # fmt: skip
-    return done.stdout.split()
-
-
-def test_the_compiled_step_is_kept_in_the_folder_and_solves_the_same_there(tmp_path):
-    folder = tmp_path / "cache"
-    first, second = in_a_process(folder), in_a_process(folder)
-    assert (first[0], second[0]) == ("traced", "fetched")
-    assert first[1] == second[1]
-    (kept,) = folder.iterdir()
-    code = kept.read_bytes()
-    kept.write_bytes(code[:-100])
-    assert in_a_process(folder) == first
-    assert kept.read_bytes()[:32] == hashlib.sha256(kept.read_bytes()[32:]).digest()
-    kept.chmod(0o666)
-    assert in_a_process(folder) == first
-
-
-def test_a_folder_that_cannot_be_written_does_no_harm(tmp_path):
-    stands_in_the_way = tmp_path / "file"
-    stands_in_the_way.write_text("")
-    assert in_a_process(stands_in_the_way / "cache")[0] == "traced"

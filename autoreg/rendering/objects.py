@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
-from PIL import ImageColor
 
 from autoreg.rendering.layer import linear_from_srgb
 from autoreg.rendering.surface import Surface
@@ -245,6 +245,16 @@ class Scene:
     focus_m: tuple[float, float] | None = None
 
 
+def _parts(text: str) -> tuple[int, ...]:
+    """The sRGB numbers of a colour's text; ValueError if it means none."""
+    if re.fullmatch("#[0-9a-fA-F]{6}", text):
+        return tuple(bytes.fromhex(text[1:]))
+    # Pillow knows the other ways to write it, and the names; few scenes need them.
+    from PIL import ImageColor
+
+    return ImageColor.getrgb(text)[:3]
+
+
 def colour(value: str | tuple[float, float, float]) -> RGB:
     """Linear RGB of a colour as picture editors have it: "#c03020", "white", or sRGB numbers 0 to 1.
 
@@ -253,7 +263,7 @@ def colour(value: str | tuple[float, float, float]) -> RGB:
     """
     if isinstance(value, str):
         try:
-            parts = ImageColor.getrgb(value)[:3]
+            parts = _parts(value)
             if not all(0 <= part <= 255 for part in parts):
                 raise ValueError("beyond what colours can be")
         except ValueError:

@@ -32,6 +32,7 @@ from autoreg.rendering.objects import (
 from autoreg.rendering.sun import Sun, sun_for
 from autoreg.rendering.surface import (
     Surface,
+    about_z,
     box_surface,
     frustum_surface,
     sphere_surface,
@@ -75,7 +76,8 @@ class Solid:
     @cached_property
     def corners(self) -> Float[np.ndarray, "8 3"]:
         """Corners of the box around it, in the ground frame."""
-        points = self.surface.corners.reshape(-1, 3)
+        # Without a render nothing else of the surface is needed.
+        points = (self.own_surface.corners @ about_z(self.turn_rad).T + self.foot).reshape(-1, 3)
         low, high = points.min(0), points.max(0)
         pick = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), -1).reshape(8, 3)
         return np.where(pick == 0, low, high)

@@ -22,9 +22,14 @@ class Surface:
 
     def moved(self, turn_rad: float, by: Float[np.ndarray, "3"]) -> Surface:
         """The triangles turned about Z and then moved."""
-        c, s = np.cos(turn_rad), np.sin(turn_rad)
-        R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        R = about_z(turn_rad)
         return Surface(self.corners @ R.T + by, self.normals @ R.T, self.uv)
+
+
+def about_z(turn_rad: float) -> Float[np.ndarray, "3 3"]:
+    """The rotation about Z by that angle."""
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def flat_normals(corners: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]:

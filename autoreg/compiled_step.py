@@ -1,0 +1,91 @@
+"""The solver's step, compiled once for a process, or fetched where an earlier one left it."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+from autoreg.machine_code import fingerprint, keep_code, read_code
+from autoreg.step_state import Step, example_arguments
+
+# What the step's code is made of, and how it is kept.
+_NAMES = ("joint_data", "residuals", "step_state", "lm_step", "bare_code", "jax_code")
+SOURCES = tuple(Path(__file__).with_name(f"{name}.py") for name in _NAMES)
+PACKAGES = ("jax", "jaxlib", "jaxopt")
+
+_COMPILING = threading.Lock()
+_STEP: list[Step] = []
+
+
+def compiled_step(folder: Path | None = None) -> Step:
+    """The step, compiled once for this process.
+
+    Args:
+        folder: where an earlier process may have left its machine code, and where else it is left.
+    """
+    # Whoever comes while another thread compiles (beside the reading of a photo) waits for it.
+    with _COMPILING:
+        if not _STEP:
+            _STEP.append(_compiled() if folder is None else _kept(folder))
+        return _STEP[0]
+
+
+def _compiled() -> Step:
+    from autoreg.jax_code import on_arrays
+    from autoreg.lm_step import compiled_with_jax
+
+    return on_arrays(compiled_with_jax())
+
+
+def _kept(folder: Path) -> Step:
+    """The step from the folder, else compiled and left there.
+
+    It is kept in two forms. One needs nothing but jaxlib; where that fails or jax is there anyway, jax's own
+    is fetched.
+    """
+    name = fingerprint(*SOURCES, packages=PACKAGES)
+    bare, own = folder / f"step-{name}.bare", folder / f"step-{name}.jax"
+    step = None if "jax" in sys.modules else _fetched_bare(bare)
+    return step or _fetched_with_jax(own) or _compiled_and_kept(bare, own)
+
+
+def _fetched_bare(path: Path) -> Step | None:
+    code = read_code(path)
+    # Whatever is wrong with what was kept, or with this jaxlib, there is another way.
+    with suppress(Exception):
+        if code is not None:
+            from autoreg.bare_code import from_bare_form
+
+            return _tried(from_bare_form(code, example_arguments(), example_arguments()[:2]))
+    return None
+
+
+def _fetched_with_jax(path: Path) -> Step | None:
+    code = read_code(path)
+    with suppress(Exception):
+        if code is not None:
+            from autoreg.jax_code import from_jax_form
+
+            return _tried(from_jax_form(code, example_arguments(), example_arguments()[:2]))
+    return None
+
+
+def _tried(step: Step) -> Step:
+    """The step, once it has been carried out where an error can still be helped."""
+    step(*example_arguments())
+    return step
+
+
+def _compiled_and_kept(bare: Path, own: Path) -> Step:
+    from autoreg.bare_code import bare_form
+    from autoreg.jax_code import jax_form, on_arrays
+    from autoreg.lm_step import compiled_with_jax
+
+    compiled = compiled_with_jax()
+    # A step that has no such form is compiled by every process.
+    with suppress(Exception):
+        keep_code(own, jax_form(compiled))
+        keep_code(bare, bare_form(compiled, example_arguments()))
+    return on_arrays(compiled)

@@ -1,0 +1,31 @@
+"""The solver's data: measured joints, the pose around which it moves them, and what its parameters are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+# Parameters: rotation vector (rad) and translation of a small motion on the camera's side, logarithm of the
+# spacing ratio, logarithm of the focal length, principal point (px), first radial distortion coefficient.
+PARAMETERS = 11
+ROTATION, TRANSLATION, RATIO, FOCAL, CENTRE, RADIAL = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10), 10
+
+
+class JointData(NamedTuple):
+    """Measured joints, the pose around which small motions are taken, and the camera.
+
+    A padded row has zero weight. `intrinsics` are fx fy cx cy and the eight distortion coefficients; `scale`
+    is the size of one unit of each parameter. Where a function is traced, jax's
+    arrays stand in these places.
+    """
+
+    ground: Float[np.ndarray, "n 2"]
+    measured_px: Float[np.ndarray, "n 2"]
+    normal: Float[np.ndarray, "n 2"]
+    weight: Float[np.ndarray, " n"]
+    R: Float[np.ndarray, "3 3"]
+    t: Float[np.ndarray, "3"]
+    intrinsics: Float[np.ndarray, "12"]
+    scale: Float[np.ndarray, " p"]
