@@ -11,10 +11,10 @@ from autoreg.corrections import with_measured_shift
 from autoreg.freedom import Free
 from autoreg.lattice_choice import Paving, presented
 from autoreg.presence import field_polygon, presence_of
-from autoreg.refine import Fit, refine_until_still
-from autoreg.refusals import focal_untold, no_lattice
+from autoreg.refine import OUTWARDS, Fit, refine, refine_until_still
+from autoreg.refusals import arcs, focal_untold, no_lattice
 from autoreg.right_angles import Squared, square_up
-from autoreg.rows import STEP_SIGMA, Rows
+from autoreg.rows import STEP_SIGMA, Rows, common_sag
 from autoreg.segments import Segments
 from autoreg.sight import Sight
 from autoreg.stations import Grid
@@ -26,6 +26,8 @@ MOST_FOCAL_SIGMA = 0.05
 REACH = 12.0
 # Half width of the first search, in slab sides; and how often a shift may be corrected.
 FIRST_SEARCH, MOST_SHIFTS = 0.04, 3
+# Where more joints than this are missed they are looked for farther off, from the camera's feet outwards.
+MOST_MISSED, WIDE_SEARCH = 0.3, 0.15
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,12 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
     `free` says what is known of the camera beforehand.
 
     Raises:
-        Refusal: they cannot be measured, or tell the focal length too little.
+        Refusal: they cannot be measured, are arcs, or tell the focal length too little.
     """
     fit, crossing = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA)), found.crossing
+    bowed = arcs(common_sag(fit))
+    if bowed is not None:
+        raise bowed
     squared = None
     if square:
         squared = _square(picture, fit, sight.segments, found, free)
@@ -113,6 +118,15 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
         return fit
 
     fit = measured(coarse.grid, coarse)
+    if fit.missed > MOST_MISSED:
+        # Small slabs are few at detection scale, and their fit does not reach far.
+        grown = refine(
+            picture, coarse.camera.scaled(width, height), coarse.cam_from_ground, coarse.grid,
+            free=free, search=WIDE_SEARCH, reaches=OUTWARDS,
+            strip=replace(coarse.strip, polarity_known=True), field=field,
+        )  # fmt: skip
+        again = None if grown is None else measured(grown.grid, grown)
+        fit = again if again is not None and again.missed < fit.missed else fit
     for _ in range(MOST_SHIFTS):
         shifted = with_measured_shift(fit)
         if shifted is None:

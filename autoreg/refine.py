@@ -49,6 +49,10 @@ FAINT = 0.1
 SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 # ... and where nothing is known of the joints.
 UNKNOWN_HALF_PX = 16.0
+# Stations that keep less of their weight do not lie on their joint.
+LEAST_WEIGHT = 0.1
+# How far to look, in camera heights, where what is near must bring the farther joints within reach.
+OUTWARDS = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0)
 # A motion by less than this share of the joints' median distance from their lines does not matter.
 STILL_SHARE = 0.02
 
@@ -78,6 +82,12 @@ class Fit:
     def weight(self) -> Float[np.ndarray, " n"]:
         """Cauchy weight of each station; zero for one whose joint could not be measured."""
         return self.usable / (1.0 + (self.distances_px / (CAUCHY_SIGMAS * self.sigma_px)) ** 2)
+
+    @property
+    def missed(self) -> float:
+        """Share of the stations that do not lie on their joint, in the family with more of them."""
+        off, family = self.weight < LEAST_WEIGHT, self.stations.family
+        return max(float(off[family == k].mean()) for k in np.unique(family))
 
     @cached_property
     def widths(self) -> Widths:

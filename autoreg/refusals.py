@@ -12,11 +12,13 @@ from autoreg.errors import Refusal
 from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.refine import Fit
-from autoreg.rows import Rows
+from autoreg.rows import Rows, Sag
 
 # Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs
 # seen with this camera. What slabs and their laying are off square is a tenth of it.
 MOST_LEAN_DEG, SURE_SIGMAS = 3.0, 5.0
+# Straight joints bow alike by less than this share of a row's width.
+MOST_SAG = 0.05
 # A camera's focal length must differ by this much before it is blamed for a refusal.
 FOCAL_BLAME = 0.05
 # ... and its principal point lie so far off the middle, as a share of the width.
@@ -150,6 +152,19 @@ def leaning(lean: Lean | None, camera: Camera, source: Literal["file", "exif", "
         f"square, which those of rectangular slabs are not; {_OTHER_CAMERA}",
         measured=measured,
         limit=limit,
+    )
+
+
+def arcs(sag: Sag) -> Refusal | None:
+    """The refusal of rows whose joints bow alike; None if they may be straight."""
+    if abs(sag.size) < MOST_SAG or abs(sag.size) < SURE_SIGMAS * sag.sigma:
+        return None
+    return Refusal(
+        "no_lattice",
+        f"the joints along these rows are arcs, which rise by {abs(sag.size):.2f} of a row's width, as those "
+        "of fans and waves are; photograph slabs in straight rows",
+        measured=round(abs(sag.size), 3),
+        limit=MOST_SAG,
     )
 
 

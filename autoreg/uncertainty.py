@@ -12,7 +12,7 @@ from autoreg import joint_data as terms
 from autoreg.bond import customary_shift
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
-from autoreg.refine import Fit, refine, refine_until_still
+from autoreg.refine import OUTWARDS, Fit, refine, refine_until_still
 from autoreg.slab_model import BOW, Estimate, Scatter, estimate_motion
 
 # What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of
@@ -30,8 +30,6 @@ DOUBT, UNEVEN, MISSED = 1.0, 0.01, 0.15
 EVENER, FEWER, ROUGHER = 0.8, 0.5, 1.1
 # Slabs that scatter by less, in pixels, are even.
 EVEN_PX = 0.02
-# Stations that keep less of their weight do not lie on their joint.
-LEAST_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ def check_camera(
     chi_square, shift = _contradiction(fit, fit, both)
     customary = customary_shift(fit.grid.shift)
     uneven = both.scatter.place > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
-    doubted = uneven or chi_square > DOUBT or _missed(fit) > MISSED or customary != fit.grid.shift
+    doubted = uneven or chi_square > DOUBT or fit.missed > MISSED or customary != fit.grid.shift
     if picture is not None and doubted:
         before = both.scatter.place
         usual = replace(fit, grid=replace(fit.grid, shift=customary))
@@ -136,7 +134,7 @@ def check_camera(
             # A free camera that neither makes the slabs evener nor meets more joints is no better one.
             px = float(np.median(fit.profiles.px_per_unit[fit.usable]))
             evener = motion.scatter.place < EVENER * both.scatter.place and both.scatter.place * px > EVEN_PX
-            met = _missed(freed) < FEWER * _missed(fit)
+            met = freed.missed < FEWER * fit.missed
             if (evener or met) and _roughness(freed) < ROUGHER * _roughness(fit):
                 chi_square, shift = _contradiction(given, freed, motion)
                 fit, both = freed, motion
@@ -150,12 +148,6 @@ def check_camera(
     return CameraCheck(
         consistent, focal, focal * sigma, float(shift[0]), shift[1:3], float(shift[3]), chi_square
     )
-
-
-def _missed(fit: Fit) -> float:
-    """Share of the stations that do not lie on their joint, in the family with more of them."""
-    off = fit.weight < LEAST_WEIGHT
-    return max(float(off[fit.stations.family == family].mean()) for family in np.unique(fit.stations.family))
 
 
 def _roughness(fit: Fit) -> float:
@@ -217,7 +209,7 @@ def _fits_with_free_camera(
             fit.grid,
             free=growing,
             search=0.15,
-            reaches=(2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0),
+            reaches=OUTWARDS,
             strip=fit.strip,
             field=field,
         )

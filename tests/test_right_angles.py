@@ -18,8 +18,9 @@ from autoreg.full_resolution import MOST_FOCAL_SIGMA
 from autoreg.geometry import Rigid, angle_between_rotations, vector_from_rotation
 from autoreg.image import as_gray
 from autoreg.refine import Fit, refine_until_still
+from autoreg.refusals import arcs
 from autoreg.right_angles import SHARED_RAD, Squared, square_up
-from autoreg.rows import STEP_SIGMA
+from autoreg.rows import STEP_SIGMA, common_sag
 from autoreg.segments import Segments, detect_segments
 from autoreg.stations import Grid, on_ground, project_ground
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
@@ -180,6 +181,18 @@ def test_too_few_cross_joints_tell_no_lean():
     fit = fitted(ASLANT, 1.0)
     field = field_of(fit.camera, fit.cam_from_ground)
     assert common_lean(segments_of(ASLANT).take(np.arange(0)), fit, field) is None
+
+
+@pytest.mark.parametrize("sag", [0.0, 0.02, -0.14])
+def test_the_bow_that_unbroken_joints_share_is_found_and_arcs_are_refused(sag: float):
+    fit = fitted(ASLANT, 1.0)
+    x = fit.stations.ground[:, 0]
+    reach = 2.0 * (x - x.mean()) / np.ptp(x)
+    bow_px = sag * reach**2 * fit.grid.spacing_y * fit.profiles.px_per_unit
+    found = common_sag(replace(fit, distances_px=fit.distances_px + bow_px, sigma_px=fit.sigma_px + 9.0))
+    assert found.size == pytest.approx(sag, abs=max(0.004, 0.05 * abs(sag)))
+    refusal = arcs(found)
+    assert (refusal is not None) == (abs(sag) > 0.1)
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.04, 1.15])
