@@ -25,9 +25,9 @@ ANY_RADIAL = 0.5
 # Above this chi-square, or where slabs seem to lie this share of a side off, or more than this share of a
 # family's joints is missed, the joints are measured again.
 DOUBT, UNEVEN, MISSED = 1.0, 0.01, 0.15
-# What a free camera must lower the slabs' scatter to, or the share of joints that are missed, to be believed;
-# and by how much joints may lie farther from their lines for that.
-EVENER, FEWER, ROUGHER = 0.8, 0.5, 1.1
+# To be believed, a free camera must lower the share of joints that are missed to this, and may leave them so
+# much farther from their lines; or it must lower the slabs' scatter and the joints' distances to these.
+FEWER, ROUGHER, EVENER, SMOOTHER = 0.5, 1.1, 0.8, 0.95
 # Slabs that scatter by less, in pixels, are even.
 EVEN_PX = 0.02
 
@@ -135,7 +135,8 @@ def check_camera(
             px = float(np.median(fit.profiles.px_per_unit[fit.usable]))
             evener = motion.scatter.place < EVENER * both.scatter.place and both.scatter.place * px > EVEN_PX
             met = freed.missed < FEWER * fit.missed
-            if (evener or met) and _roughness(freed) < ROUGHER * _roughness(fit):
+            rougher = _roughness(freed) / _roughness(fit)
+            if (met and rougher < ROUGHER) or (evener and rougher < SMOOTHER):
                 chi_square, shift = _contradiction(given, freed, motion)
                 fit, both = freed, motion
             # A camera that is wrong is worth the time to find the right one.
