@@ -135,8 +135,8 @@ def check_camera(
             px = float(np.median(fit.profiles.px_per_unit[fit.usable]))
             evener = motion.scatter.place < EVENER * both.scatter.place and both.scatter.place * px > EVEN_PX
             met = freed.missed < FEWER * fit.missed
-            rougher = _roughness(freed) / _roughness(fit)
-            if (met and rougher < ROUGHER) or (evener and rougher < SMOOTHER):
+            rough, was = _roughness(freed), _roughness(fit)
+            if (met and rough < ROUGHER * was) or (evener and rough < SMOOTHER * was):
                 chi_square, shift = _contradiction(given, freed, motion)
                 fit, both = freed, motion
             # A camera that is wrong is worth the time to find the right one.
