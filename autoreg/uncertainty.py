@@ -17,7 +17,7 @@ from autoreg.slab_model import BOW, Estimate, Scatter, estimate_motion
 
 # What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of
 # the focal length, and of the picture's width for the principal point and for what the lens does to a corner.
-FOCAL_TOLERANCE, CENTRE_TOLERANCE, LENS_TOLERANCE = 0.0075, 0.005, 0.0025
+FOCAL_TOLERANCE, CENTRE_TOLERANCE, LENS_TOLERANCE = 0.0065, 0.005, 0.0025
 # The contradiction must be beyond this chi-square (of at most four degrees of freedom).
 CONTRADICTION = 14.0
 # So wide that it only keeps untold lenses finite.
