@@ -23,7 +23,6 @@ from autoreg.full_resolution import REACH, Laid, measured_rows, measured_slabs
 from autoreg.geometry import Rigid
 from autoreg.image import as_gray
 from autoreg.last_step import rested
-from autoreg.presence import field_polygon
 from autoreg.refusals import focal_untold, leaning, maybe_wall
 from autoreg.rows import Rows
 from autoreg.search import RADIAL_SIGMA, find_paving, other_camera
@@ -129,7 +128,7 @@ def _laid(
         laid = measured_rows(sight, picture, found, free, square=source == "photo")
     else:
         laid = measured_slabs(sight.looks.picture, picture, found, free, slab)
-    lean = common_lean(sight.segments, laid.fit, field_polygon(laid.settled.presence))
+    lean = common_lean(sight.segments, laid.fit, laid.settled.presence.field)
     off = leaning(lean, laid.fit.camera, source)
     if off is not None:
         raise _other_camera(sight, given) or off
@@ -152,7 +151,7 @@ def _concluded(
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
     fit, settled, squared = laid.fit, laid.settled, laid.squared
-    field = field_polygon(settled.presence)
+    field = settled.presence.field
     last = rested(picture, fit, REACH, field) if squared is None else squared.settled
     # A camera that comes from the joints themselves is nothing that they could contradict.
     asked = None if source == "photo" else picture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -47,35 +48,32 @@ def _kept(folder: Path) -> Step:
     """
     name = fingerprint(*SOURCES, packages=PACKAGES)
     bare, own = folder / f"step-{name}.bare", folder / f"step-{name}.jax"
-    step = None if "jax" in sys.modules else _fetched_bare(bare)
-    return step or _fetched_with_jax(own) or _compiled_and_kept(bare, own)
+    step = None if "jax" in sys.modules else _fetched(bare, _run_bare)
+    return step or _fetched(own, _run_with_jax) or _compiled_and_kept(bare, own)
 
 
-def _fetched_bare(path: Path) -> Step | None:
+def _fetched(path: Path, made_of: Callable[[bytes], Step]) -> Step | None:
+    """The step that a file holds, once it has been carried out where an error can still be helped."""
     code = read_code(path)
     # Whatever is wrong with what was kept, or with this jaxlib, there is another way.
     with suppress(Exception):
         if code is not None:
-            from autoreg.bare_code import from_bare_form
-
-            return _tried(from_bare_form(code, example_arguments(), example_arguments()[:2]))
+            step = made_of(code)
+            step(*example_arguments())
+            return step
     return None
 
 
-def _fetched_with_jax(path: Path) -> Step | None:
-    code = read_code(path)
-    with suppress(Exception):
-        if code is not None:
-            from autoreg.jax_code import from_jax_form
+def _run_bare(code: bytes) -> Step:
+    from autoreg.bare_code import from_bare_form
 
-            return _tried(from_jax_form(code, example_arguments(), example_arguments()[:2]))
-    return None
+    return from_bare_form(code, example_arguments(), example_arguments()[:2])
 
 
-def _tried(step: Step) -> Step:
-    """The step, once it has been carried out where an error can still be helped."""
-    step(*example_arguments())
-    return step
+def _run_with_jax(code: bytes) -> Step:
+    from autoreg.jax_code import from_jax_form
+
+    return from_jax_form(code, example_arguments(), example_arguments()[:2])
 
 
 def _compiled_and_kept(bare: Path, own: Path) -> Step:

@@ -14,7 +14,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground_frame import quarter_turns
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.lattice_choice import has_ratio
-from autoreg.presence import Presence, field_polygon
+from autoreg.presence import Presence
 from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
 
@@ -99,7 +99,7 @@ def describe_lattice(fit: Fit, presence: Presence, frame: Frame, scale: float) -
         spacing_y=scale * grid.spacing_y,
         shift=None if grid.spacing_x is None else grid.shift,
         joint_width=scale * float((widths * counts).sum() / max(counts.sum(), 1)),
-        extent=scale * frame.points(field_polygon(presence)),
+        extent=scale * frame.points(presence.field),
     )
 
 

@@ -10,8 +10,8 @@ from autoreg.conclude import slab_mismatch, with_slab_ratio
 from autoreg.corrections import with_measured_shift
 from autoreg.freedom import Free
 from autoreg.lattice_choice import Paving, presented
-from autoreg.presence import field_polygon, presence_of
-from autoreg.refine import OUTWARDS, Fit, refine, refine_until_still
+from autoreg.presence import presence_of
+from autoreg.refine import FROM_THE_FEET, WIDE_SEARCH, Fit, refine, refine_until_still
 from autoreg.refusals import arcs, focal_untold, no_lattice
 from autoreg.right_angles import Squared, square_up
 from autoreg.rows import STEP_SIGMA, Rows, common_sag
@@ -27,7 +27,7 @@ REACH = 12.0
 # Half width of the first search, in slab sides; and how often a shift may be corrected.
 FIRST_SEARCH, MOST_SHIFTS = 0.04, 3
 # Where more joints than this are missed they are looked for farther off, from the camera's feet outwards.
-MOST_MISSED, WIDE_SEARCH = 0.3, 0.15
+MOST_MISSED = 0.3
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, know
     Raises:
         Refusal: they tell it too little for a pose.
     """
-    squared = square_up(picture, fit, segments, field_polygon(found.paving.presence), known, REACH)
+    squared = square_up(picture, fit, segments, found.paving.presence.field, known, REACH)
     if squared is None:
         raise focal_untold("rows", None, np.inf, MOST_FOCAL_SIGMA)
     if squared.sigma_log_focal > MOST_FOCAL_SIGMA:
@@ -105,7 +105,7 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     """
     coarse = paving.fit
     height, width = picture.shape
-    field = field_polygon(paving.presence)
+    field = paving.presence.field
 
     def measured(grid: Grid, near: Fit) -> Fit:
         fit = refine_until_still(
@@ -122,7 +122,7 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
         # Small slabs are few at detection scale, and their fit does not reach far.
         grown = refine(
             picture, coarse.camera.scaled(width, height), coarse.cam_from_ground, coarse.grid,
-            free=free, search=WIDE_SEARCH, reaches=OUTWARDS,
+            free=free, search=WIDE_SEARCH, reaches=FROM_THE_FEET,
             strip=replace(coarse.strip, polarity_known=True), field=field,
         )  # fmt: skip
         again = None if grown is None else measured(grown.grid, grown)

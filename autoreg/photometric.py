@@ -43,7 +43,7 @@ from autoreg.photometric_step import (
     stepped,
     with_doubts,
 )
-from autoreg.refine import Fit
+from autoreg.refine import LEAST_WEIGHT, Fit
 from autoreg.stations import Sides, visible_sides
 
 # Pixels that are looked at: more tell little more, and cost time.
@@ -147,7 +147,7 @@ def _sides(fit: Fit, reach: float, field: Float[np.ndarray, "k 2"] | None) -> Si
     least = CLEAR_BLURS * fit.strip.blur_px
     sides = visible_sides(fit.camera, fit.cam_from_ground, fit.grid, reach=reach, field=field, min_px=least)
     stations = fit.stations
-    good = fit.usable & (fit.weight > 0.1)
+    good = fit.weight > LEAST_WEIGHT
     keys = np.stack([stations.family, stations.line, stations.cell], 1)
     names, number = np.unique(keys, axis=0, return_inverse=True)
     share = np.bincount(number.ravel(), good) / np.bincount(number.ravel())

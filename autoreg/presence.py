@@ -98,6 +98,11 @@ class Presence:
         )
 
     @cached_property
+    def field(self) -> Float[np.ndarray, "n 2"]:
+        """What `field_polygon` makes of it."""
+        return field_polygon(self)
+
+    @cached_property
     def possible_fields(self) -> tuple[tuple[Bool[np.ndarray, " n"], float], ...]:
         """Sides that may be all there is of the paving, each choice of them with its price in nats."""
         if len(self.p) == 0:

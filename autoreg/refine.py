@@ -51,8 +51,9 @@ SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 UNKNOWN_HALF_PX = 16.0
 # Stations that keep less of their weight do not lie on their joint.
 LEAST_WEIGHT = 0.1
-# How far to look, in camera heights, where what is near must bring the farther joints within reach.
-OUTWARDS = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0)
+# Where what is near must bring the farther joints within reach: how far to look, in camera heights, and the
+# half width of the first search, in slab sides.
+FROM_THE_FEET, WIDE_SEARCH = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0), 0.15
 # A motion by less than this share of the joints' median distance from their lines does not matter.
 STILL_SHARE = 0.02
 
@@ -134,7 +135,7 @@ def refine(
         fit = now
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
         search = 0.5 * search if search >= 0.06 else 0.0
-        if _motion_px(fit, *before) < steady_px:
+        if steady_px and _motion_px(fit, *before) < steady_px:
             break
     return fit
 

@@ -12,7 +12,7 @@ from autoreg import joint_data as terms
 from autoreg.bond import customary_shift
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
-from autoreg.refine import OUTWARDS, Fit, refine, refine_until_still
+from autoreg.refine import FROM_THE_FEET, WIDE_SEARCH, Fit, refine, refine_until_still
 from autoreg.slab_model import BOW, Estimate, Scatter, estimate_motion
 
 # What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of
@@ -209,8 +209,8 @@ def _fits_with_free_camera(
             fit.cam_from_ground,
             fit.grid,
             free=growing,
-            search=0.15,
-            reaches=OUTWARDS,
+            search=WIDE_SEARCH,
+            reaches=FROM_THE_FEET,
             strip=fit.strip,
             field=field,
         )
