@@ -15,7 +15,7 @@ from autoreg.stations import ALONG_X, ALONG_Y, Stations, project_ground
 
 # Joint widths, in slab sides, and blurs in pixels that are tried where nothing is known of them, ...
 WIDTHS = np.geomspace(0.004, 0.16, 14)
-BLURS = np.array([0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2])
+BLURS = np.array([0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2, 2.9, 3.8, 5.0, 6.5])
 # ... and the factors that are tried of what is known.
 NEARBY = np.array([0.72, 0.86, 1.0, 1.16, 1.4])
 # Joint widths, in slab sides, that are tried at first, and by how much a wider one must lower the mean log

@@ -102,3 +102,19 @@ def test_joints_of_any_width_are_measured_by_both_edges_from_the_first_look_on(w
     assert fit is not None
     assert fit.strip.polarity == (-1, -1)
     assert np.allclose(fit.strip.width, width_m, rtol=0.2)
+
+
+def test_a_picture_out_of_focus_is_not_taken_for_one_of_wide_joints():
+    scene = replace(STACK, spacing_m=(0.4, 0.4), joint_width_m=0.01, blur_px=5.0, colour=False)
+    photo = render_paving(scene)
+    start = nudged(photo.cam_from_ground, turn_deg=0.2, move_m=0.01)
+    fit = refine(
+        gray_of(photo), photo.camera, start, true_grid(photo), free=Free(), search=0.1, reaches=(6.0,) * 4
+    )
+    assert fit is not None
+    assert fit.strip.polarity == (-1, -1)
+    # Blur and width share the spread of light between them; by width alone it would be 2.2.
+    assert 4.0 < fit.strip.blur_px < 6.0
+    angle_deg, crossing_px = misses(settle(fit).fit.cam_from_ground, scene.spacing_m, photo)
+    assert angle_deg < 0.06
+    assert crossing_px < 0.3
