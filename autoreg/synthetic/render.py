@@ -13,7 +13,6 @@ from autoreg.synthetic.scene import SyntheticPhoto, SyntheticScene
 
 Grid = Float[np.ndarray, "h w"]
 Samples = Float[np.ndarray, " n"]
-SKY_TONE = 205.0
 
 
 def render_paving(scene: SyntheticScene) -> SyntheticPhoto:
@@ -82,7 +81,7 @@ def _sample(
     scene: SyntheticScene, ground: Ground, things: _Things, x: Grid, y: Grid, width_x: Grid, width_y: Grid
 ) -> Grid:
     seen = np.isfinite(x) & np.isfinite(width_x) & np.isfinite(width_y)
-    tones = np.full(x.shape, SKY_TONE)
+    tones = np.full(x.shape, scene.sky_tone)
     gx, gy = x[seen], y[seen]
     wx, wy = width_x[seen] / scene.samples, width_y[seen] / scene.samples
     tones[seen] = things.over(ground.tone(gx, gy, wx, wy) * ground.texture(gx, gy, wx + wy), gx, gy)

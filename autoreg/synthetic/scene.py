@@ -39,6 +39,7 @@ class SyntheticScene:
         joint_tone: grey level of the joints.
         slab_tone: mean grey level of the slabs.
         second_tone: grey level of every other slab of a chessboard, or None.
+        sky_tone: grey level above the horizon.
         tone_spread: standard deviation of the slabs' tone, relative.
         texture: standard deviation of the stone's texture, relative.
         jitter_m: standard deviation of each slab's place along X and along Y; it must stay under a fifth of
@@ -64,6 +65,7 @@ class SyntheticScene:
     joint_tone: float = 60.0
     slab_tone: float = 150.0
     second_tone: float | None = None
+    sky_tone: float = 205.0
     tone_spread: float = 0.04
     texture: float = 0.03
     jitter_m: float = 0.0
