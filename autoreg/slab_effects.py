@@ -17,6 +17,9 @@ KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
 # Shift of a joint's far edge by a shadow on the bed, against that by a lit wall, and the near edge's against
 # the far one's.
 FAR_SHADE, NEAR_SHADE = 0.4, 0.2
+# What all joints of a family may be off by together, as a share of their width, and the slopes at which this
+# differs most: real walls and shadows have other shapes than those drawn, as ray-traced pavings show.
+TOGETHER, SOON, LATE = 0.03, 1.6, 4.0
 # What is not known of the joints' full width, as a share of it, and what a wrong blur adds to it.
 WIDTH_SIGMA, BLUR_PX = 0.1, 0.15
 
@@ -90,6 +93,17 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     # The same covariance in fewer columns.
     U, size, _ = np.linalg.svd(np.concatenate([0.5 * (beyond + before), width]), full_matrices=False)
     return (U * size)[:, size > 0.01 * size[0]]
+
+
+def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 8"]:
+    """Pixels by which the joints of a family may lie off together: alike, or by how steeply they are seen."""
+    slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
+    steep, facing = np.abs(slope), np.where(slope < 0, -1.0, 1.0)
+    soon, late = np.minimum(steep / SOON, 1.0), np.minimum(steep / LATE, 1.0)
+    shapes = np.stack([np.ones_like(slope), soon, facing * soon, facing * late], 1)
+    size = TOGETHER * _full_width_px(joints)
+    own = [shapes * (size * (family == each))[:, None] for each in (ALONG_X, ALONG_Y)]
+    return joints.middles_only(np.concatenate(own, 1))
 
 
 def _full_width_px(joints: MeasuredJoints) -> Float[np.ndarray, " n"]:

@@ -19,7 +19,14 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from autoreg.design_effect import drawn_design_effect
 from autoreg.measured_joints import measured_joints
 from autoreg.refine import Fit
-from autoreg.slab_effects import bloom_effects, bow_effects, relief_effects, slab_effects, width_effects
+from autoreg.slab_effects import (
+    bloom_effects,
+    bow_effects,
+    common_effects,
+    relief_effects,
+    slab_effects,
+    width_effects,
+)
 from autoreg.solver import CAUCHY_SIGMAS, Prior
 
 # Sizes of the relief that are weighed against each other, as shares of half the joint's width. It cannot be
@@ -75,7 +82,12 @@ class SlabEquations:
         self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
         relief = relief_effects(joints)
-        others = width_effects(joints), bow * bow_effects(joints), BLOOM_PX * bloom_effects(joints)
+        others = (
+            common_effects(joints),
+            width_effects(joints),
+            bow * bow_effects(joints),
+            BLOOM_PX * bloom_effects(joints),
+        )
         # Which of these columns are scaled by the size of the relief.
         self.relief = np.repeat([True, False], [relief.shape[1], sum(effect.shape[1] for effect in others)])
         self.columns = np.c_[J * self.unit, relief, *others, joints.off_px]

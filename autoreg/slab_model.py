@@ -2,15 +2,16 @@
 
 The places of neighbouring joints are no independent measurements. Each joint lies off its line by
 
-    J dp + place + lift + turn of the slabs on either side + relief + bloom + noise,
+    J dp + place + lift + turn of the slabs on either side + relief + common shift + bloom + noise,
 
 where every slab's place, height and turn are random, and the relief is the shift of a joint seen aslant: a
-lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. Where
-both edges of a joint are told apart, its width is a second measurement, off by all of these but J dp. Bright
-tiles that meet dark ones without a joint bloom: every edge is moved towards the dark one. This is a linear
-mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the sizes of the random
-effects come from the photo's own residuals by restricted maximum likelihood, and the pose by generalised
-least squares.
+lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. What the
+joints of a family are off by together beyond that shows in no residual: its size is that measured on
+ray-traced pavings. Where both edges of a joint are told apart, its width is a second measurement, off by all
+of these but J dp. Bright tiles that meet dark ones without a joint bloom: every edge is moved towards the
+dark one. This is a linear mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the
+sizes of the random effects come from the photo's own residuals by restricted maximum likelihood, and the
+pose by generalised least squares.
 """
 
 from __future__ import annotations

@@ -117,4 +117,4 @@ def test_a_picture_out_of_focus_is_not_taken_for_one_of_wide_joints():
     assert 4.0 < fit.strip.blur_px < 6.0
     angle_deg, crossing_px = misses(settle(fit).fit.cam_from_ground, scene.spacing_m, photo)
     assert angle_deg < 0.06
-    assert crossing_px < 0.3
+    assert crossing_px < 0.1 * scene.blur_px
