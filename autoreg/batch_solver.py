@@ -2,8 +2,14 @@
 
 `solver` steps through one photo's problem from Python, which says how it ended and costs a few milliseconds
 of calls. Where many problems wait, all of them step together here, and a processor with many lanes has
-something to do. The damping is Marquardt's: down tenfold after a step that lowers the cost, up tenfold else
-(Nocedal and Wright, Numerical Optimization, 10.3).
+something to do. The damping is Marquardt's (Nocedal and Wright, Numerical Optimization, 10.3): times ten
+after a step that raises the cost, but only halved after one that lowers it, since where the projection bends
+a damping that falls quickly fails at every second step (Transtrum and Sethna, arXiv 1201.5885).
+
+All wait for the one that takes the most steps. Far from the minimum the cost's own curvature is much too
+small (Cauchy's loss bends down again), and a step by it overshoots; the parabolas that touch the joints'
+losses and lie above them everywhere do not (iteratively reweighted least squares; Huber, Robust Statistics,
+7.8). Near the minimum those creep, and the cost's own curvature ends in a step or two.
 """
 
 from __future__ import annotations
@@ -18,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from autoreg.joint_data import PARAMETERS, JointData
-from autoreg.residuals import Numbers, joint_distance, moved_projection, robust, robust_curvature
+from autoreg.residuals import Projection, moved_projection, pixel, robust_curvature
 from autoreg.solver import (
     CAUCHY_SIGMAS,
     FIRST_DAMPING,
@@ -30,23 +36,36 @@ from autoreg.solver import (
     Prior,
     Solution,
     outcome_of,
-    padded,
 )
+
+# The cost's own curvature is believed where it promises less than this share of the cost: the step is small.
+NEAR = 0.01
+# The ridge keeps what nothing tells from promising; it is far below what anything tells.
+RIDGE = 1e-12
 
 
 class _Problem(NamedTuple):
-    """One problem; the solver's variables are the free parameters divided by `unit`."""
+    """One problem, or several along a first axis; the prior is that of the free parameters."""
 
     data: JointData
-    unit: Float[Numbers, " f"]
-    prior_mean: Float[Numbers, " f"]
-    prior_weight: Float[Numbers, " f"]
+    prior_mean: Float[np.ndarray, "*k f"]
+    prior_weight: Float[np.ndarray, "*k f"]
+
+
+class _Model(NamedTuple):
+    """The cost about some values of the free parameters."""
+
+    p: Float[Array, " f"]
+    cost: Float[Array, ""]
+    gradient: Float[Array, " f"]
+    majorant: Float[Array, "f f"]
+    newton: Float[Array, "f f"]
 
 
 class _State(NamedTuple):
-    """One problem's variables, and what was evaluated there."""
+    """One problem's free parameters, and what was evaluated there."""
 
-    q: Float[Array, " f"]
+    p: Float[Array, " f"]
     cost: Float[Array, ""]
     gradient: Float[Array, " f"]
     curvature: Float[Array, "f f"]
@@ -74,14 +93,9 @@ def solve_batch(
     """
     if not problems or min(len(p.weight) for p in problems) < 1:
         raise ValueError(f"problems: want at least one, each with a joint; got {len(problems)}")
-    most = _rounded(max(len(p.weight) for p in problems))
     columns = tuple(int(k) for k in np.flatnonzero(free))
     nothing_known = Prior(np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf))
-    ready = [
-        _problem(data, columns, prior, most)
-        for data, prior in zip(problems, priors or [nothing_known] * len(problems), strict=True)
-    ]
-    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *ready)
+    stacked = _stacked(problems, priors or [nothing_known] * len(problems), list(columns))
     with jax.enable_x64(True):
         parameters, cost, promised, distances, jacobian, steps = (
             np.asarray(part) for part in _compiled(columns)(stacked)
@@ -92,27 +106,46 @@ def solve_batch(
             parameters[k],
             float(cost[k]),
             distances[k, : len(data.weight)],
-            jacobian[k, : len(data.weight)],
+            jacobian[k, :, : len(data.weight)].T,
             int(steps[k]),
         )
         for k, data in enumerate(problems)
     )
 
 
+def _stacked(problems: Sequence[JointData], priors: Sequence[Prior], free: list[int]) -> _Problem:
+    """All problems with as many joints as the largest, rounded up.
+
+    Those that are added are the first, which projects to something finite, without weight.
+    """
+    most = _rounded(max(len(p.weight) for p in problems))
+
+    def of(name: str) -> np.ndarray:
+        return np.array([getattr(p, name) for p in problems], float)
+
+    def filled(name: str) -> np.ndarray:
+        parts = [np.asarray(getattr(p, name), float) for p in problems]
+        whole = np.empty((len(parts), most, *parts[0].shape[1:]))
+        for place, part in zip(whole, parts, strict=True):
+            place[: len(part)], place[len(part) :] = part, part[0]
+        return whole
+
+    weight = filled("weight")
+    for place, data in zip(weight, problems, strict=True):
+        place[len(data.weight) :] = 0.0
+    rows = filled("ground"), filled("measured_px"), filled("normal"), weight
+    scale = of("scale")
+    mean, sigma = (np.array([getattr(p, name)[free] for p in priors]) for name in ("mean", "sigma"))
+    return _Problem(
+        JointData(*rows, of("R"), of("t"), of("intrinsics"), scale),
+        mean / scale[:, free],
+        scale[:, free] / (CAUCHY_SIGMAS * sigma),
+    )
+
+
 def _rounded(rows: int) -> int:
     part = max(8, 1 << max((rows - 1).bit_length() - 3, 0))
     return -(-rows // part) * part
-
-
-def _problem(data: JointData, columns: tuple[int, ...], prior: Prior, most: int) -> _Problem:
-    free = list(columns)
-    scale = np.asarray(data.scale, float)[free]
-    return _Problem(
-        data=padded(data, most),
-        unit=np.ones(len(free)),
-        prior_mean=prior.mean[free] / scale,
-        prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma[free]),
-    )
 
 
 @cache
@@ -122,19 +155,16 @@ def _compiled(columns: tuple[int, ...]) -> Any:
 
 def _solve(columns: tuple[int, ...], problem: _Problem) -> tuple[Array, ...]:
     """Parameters, cost, promised decrease, distances, Jacobian and steps of one problem."""
-    zero = jnp.zeros(len(columns))
-    _, slope, J = _weighted(zero, columns, problem)
-    # Columns of unit length, since the damping is the same for all variables.
-    length = jnp.linalg.norm(J * slope[:, None], axis=0)
-    unit = 1.0 / jnp.where(length > 0, length, 1.0)
-    scaled = problem._replace(unit=unit)
-    first = _at(zero, columns, scaled, jnp.asarray(FIRST_DAMPING), jnp.asarray(0))
-    state = jax.lax.while_loop(lambda s: s.going, lambda s: _step(s, columns, scaled), first)
+    start = _model(jnp.zeros(len(columns)), columns, problem)
+    # What the parameters' units are does not matter: ridge and damping are shares of the first curvature.
+    own = jnp.diag(start.majorant)
+    size = jnp.where(own > 0, own, 1.0)
+    first = _state(start, size, jnp.asarray(FIRST_DAMPING), jnp.asarray(0))
+    end = jax.lax.while_loop(lambda s: s.going, lambda s: _step(s, size, columns, problem), first)
+    whole = _whole(end.p, columns)
+    distances, jacobian = _distances(whole, tuple(range(PARAMETERS)), problem.data)
     scale = jnp.asarray(problem.data.scale)
-    whole = _whole(state.q * unit, columns)
-    distances, outer, inner = _slopes(whole, tuple(range(PARAMETERS)), problem.data)
-    jacobian = (outer @ inner) / scale
-    return whole * scale, state.cost, state.promised, distances, jacobian, state.steps
+    return whole * scale, end.cost, end.promised, distances, jacobian / scale[:, None], end.steps
 
 
 def _whole(p: Array, columns: tuple[int, ...]) -> Float[Array, " p"]:
@@ -142,57 +172,70 @@ def _whole(p: Array, columns: tuple[int, ...]) -> Float[Array, " p"]:
     return jnp.zeros(PARAMETERS).at[np.array(columns)].set(p)
 
 
-def _slopes(p: Array, columns: tuple[int, ...], data: JointData) -> tuple[Array, Array, Array]:
-    """Distances, their derivatives by the projection's few numbers, and of those by the chosen parameters."""
-    every = jax.vmap(jax.value_and_grad(joint_distance), in_axes=(None, 0, 0, 0))
-    distances, outer = every(moved_projection(p, data), data.ground, data.measured_px, data.normal)
+def _distances(
+    p: Float[Array, " p"], columns: tuple[int, ...], data: JointData
+) -> tuple[Float[Array, " n"], Float[Array, "f n"]]:
+    """Distances of the joints across them, and their derivatives by the chosen parameters."""
+    chosen = np.array(columns)
+    # Coordinates as arrays of their own: points of two numbers would leave most of a register empty.
+    (gx, gy), (x, y), (nx, ny) = data.ground.T, data.measured_px.T, data.normal.T
 
-    def numbers(some: Array) -> Array:
-        moved = moved_projection(p.at[np.array(columns)].set(some), data)
-        return jnp.concatenate([moved.cam_from_plane.ravel(), moved.intrinsics])
+    def distances(moved: Projection) -> Array:
+        A = moved.cam_from_plane
+        u, v = pixel(moved.intrinsics, *(A[k, 0] * gx + A[k, 1] * gy + A[k, 2] for k in range(3)))
+        return (u - x) * nx + (v - y) * ny
 
-    inner = jax.jacfwd(numbers)(p[np.array(columns)])
-    flat = jnp.concatenate([outer.cam_from_plane.reshape(len(distances), -1), outer.intrinsics], 1)
-    return distances, flat, inner
-
-
-def _weighted(q: Array, columns: tuple[int, ...], problem: _Problem) -> tuple[Array, Array, Array]:
-    """Weighted distances, the robust slope of each, and the weighted derivatives by the variables."""
-    data = problem.data
-    distances, outer, inner = _slopes(_whole(q * problem.unit, columns), columns, data)
-    doubt = distances * data.weight
-    _, slope = robust(doubt)
-    return doubt, slope, (outer * jnp.asarray(data.weight)[:, None]) @ (inner * problem.unit)
+    moved, by_parameter = jax.linearize(
+        lambda some: moved_projection(p.at[chosen].set(some), data), p[chosen]
+    )
+    found, by_projection = jax.linearize(distances, moved)
+    # Row by row: what `vmap` makes of it would be worked out anew wherever it is used.
+    return found, jnp.stack([by_projection(by_parameter(column)) for column in np.eye(len(columns))])
 
 
-def _at(q: Array, columns: tuple[int, ...], problem: _Problem, damping: Array, steps: Array) -> _State:
-    """The state at some variables; the cost's own curvature where it is convex, else Gauss and Newton's."""
-    doubt, slope, J = _weighted(q, columns, problem)
-    known = problem.prior_weight * problem.unit
-    off = problem.prior_weight * (q * problem.unit - problem.prior_mean)
-    r, _ = robust(doubt)
-    cost, gradient = 0.5 * (r @ r + off @ off), J.T @ (r * slope) + known * off
-    newton = J.T @ (J * robust_curvature(doubt)[:, None]) + jnp.diag(known**2)
-    normal = J.T @ (J * (slope**2)[:, None]) + jnp.diag(known**2)
-    convex = jnp.isfinite(jnp.linalg.cholesky(newton)).all()
-    curvature = jnp.where(convex, newton, normal)
-    # The ridge keeps what nothing tells from promising; it is far below what anything tells.
-    ridge = 1e-13 * jnp.trace(curvature) * jnp.eye(len(columns))
-    promised = 0.5 * gradient @ jnp.linalg.solve(curvature + ridge, gradient)
-    going = (promised > STOP * cost + NOTHING) & (damping < MOST_DAMPING) & (steps < MOST_STEPS)
-    return _State(q, cost, gradient, curvature, damping, promised, steps, going & jnp.isfinite(cost))
+def _model(p: Array, columns: tuple[int, ...], problem: _Problem) -> _Model:
+    """The cost at some parameters, its gradient, and the two curvatures that may stand for it."""
+    weight = jnp.asarray(problem.data.weight)
+    distances, jacobian = _distances(_whole(p, columns), columns, problem.data)
+    doubt, J = distances * weight, jacobian * weight
+    known, off = problem.prior_weight, problem.prior_weight * (p - problem.prior_mean)
+    share = 1 / (1 + doubt**2)
+    # One product for all three sums over the joints.
+    sums = jnp.concatenate([J * share, J * robust_curvature(doubt), (doubt * share)[None]]) @ J.T
+    majorant, newton, gradient = jnp.split(sums, [len(J), 2 * len(J)])
+    prior = jnp.diag(known**2)
+    cost = 0.5 * (jnp.log1p(doubt**2).sum() + off @ off)
+    return _Model(p, cost, gradient[0] + known * off, majorant + prior, newton + prior)
 
 
-def _step(state: _State, columns: tuple[int, ...], problem: _Problem) -> _State:
-    damped = state.curvature + state.damping * jnp.eye(len(columns))
-    there = _at(
-        state.q - jnp.linalg.solve(damped, state.gradient),
-        columns,
-        problem,
-        jnp.maximum(0.1 * state.damping, LEAST_DAMPING),
+def _state(model: _Model, size: Array, damping: Array, steps: Array) -> _State:
+    ridge = RIDGE * jnp.diag(size)
+    cautious, bold = (_promised(c + ridge, model.gradient) for c in (model.majorant, model.newton))
+    # Where the cost is not convex, nothing is promised that could be compared.
+    near = bold < NEAR * model.cost
+    promised = jnp.where(near, bold, cautious)
+    going = (promised > STOP * model.cost + NOTHING) & (damping < MOST_DAMPING) & (steps < MOST_STEPS)
+    return _State(
+        model.p, model.cost, model.gradient, jnp.where(near, model.newton, model.majorant),
+        damping, promised, steps, going & jnp.isfinite(model.cost),
+    )  # fmt: skip
+
+
+def _promised(curvature: Float[Array, "f f"], gradient: Float[Array, " f"]) -> Float[Array, ""]:
+    """By how much a step lowers the cost that such a curvature describes; NaN where it is not convex."""
+    half = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(curvature), gradient, lower=True)
+    return 0.5 * half @ half
+
+
+def _step(state: _State, size: Array, columns: tuple[int, ...], problem: _Problem) -> _State:
+    factor = jnp.linalg.cholesky(state.curvature + state.damping * jnp.diag(size))
+    step = jax.scipy.linalg.cho_solve((factor, True), state.gradient)
+    there = _state(
+        _model(state.p - step, columns, problem),
+        size,
+        jnp.maximum(0.5 * state.damping, LEAST_DAMPING),
         state.steps + 1,
     )
-    better = there.cost < state.cost
     damping, steps = 10.0 * state.damping, state.steps + 1
     stay = state._replace(damping=damping, steps=steps, going=(damping < MOST_DAMPING) & (steps < MOST_STEPS))
-    return jax.tree.map(lambda new, old: jnp.where(better, new, old), there, stay)
+    return jax.tree.map(partial(jnp.where, there.cost < state.cost), there, stay)

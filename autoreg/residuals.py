@@ -29,13 +29,20 @@ class Projection(NamedTuple):
 
 def project(intrinsics: Float[Array, "12"], points_cam: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
     """Pixels of points in front of the camera, by OpenCV's rational and tangential model."""
+    return jnp.stack(pixel(intrinsics, points_cam[..., 0], points_cam[..., 1], points_cam[..., 2]), -1)
+
+
+def pixel(
+    intrinsics: Float[Array, "12"], X: Float[Array, "*n"], Y: Float[Array, "*n"], Z: Float[Array, "*n"]
+) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    """The same with each coordinate as an array of its own, which is quicker where there are many points."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 = intrinsics
-    x, y = points_cam[..., 0] / points_cam[..., 2], points_cam[..., 1] / points_cam[..., 2]
+    x, y = X / Z, Y / Z
     r2 = x * x + y * y
     radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
     xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
     yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return jnp.stack([fx * xd + cx, fy * yd + cy], -1)
+    return fx * xd + cx, fy * yd + cy
 
 
 def small_rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_solver import problem
+from handmade_joints import SIGMA_PX, Start, problem
+from test_solver import sigmas_apart
 
 from autoreg.batch_solver import solve_batch
 from autoreg.joint_data import FOCAL, PARAMETERS, RATIO
@@ -21,6 +22,18 @@ def test_a_batch_solves_what_the_single_solver_solves():
         assert one.cost == pytest.approx(alone.cost, rel=1e-6)
         assert one.distances_px == pytest.approx(alone.distances_px, abs=1e-3)
         assert one.jacobian == pytest.approx(alone.jacobian, rel=1e-4, abs=1e-2)
+
+
+def test_wild_joints_and_far_starts_end_in_the_same_minimum_in_fewer_steps():
+    far = Start(0.03, 0.1)
+    problems = [problem(seed, n=120, noise_px=SIGMA_PX, outliers=0.4, start=far) for seed in range(8)]
+    batch, alone = solve_batch(problems, FREE), [solve_joints(data, FREE) for data in problems]
+    for data, one, other in zip(problems, batch, alone, strict=True):
+        assert one.outcome == other.outcome == "converged"
+        assert sigmas_apart(data, one.jacobian, one.parameters - other.parameters) < 0.01
+    # A batch waits for its slowest problem.
+    assert max(one.steps for one in batch) < max(other.steps for other in alone)
+    assert sum(one.steps for one in batch) < 0.75 * sum(other.steps for other in alone)
 
 
 def test_exact_joints_give_the_exact_pose_where_the_camera_is_known():

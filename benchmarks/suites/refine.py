@@ -100,7 +100,7 @@ def peers() -> tuple[tuple[str, Solve], ...]:
 
 def run(options: Options) -> Result:
     """Every method on every scene, then the time of one solve of 300 segments."""
-    count = options.count(3, 40)
+    count = options.count(8, 40)
     scenes = [draw(seed, quick=options.quick) for seed in range(count)]
     errors: dict[str, list[tuple[float, float]]] = {"autoreg": [], **{name: [] for name, _ in peers()}}
     matched: list[tuple[Edges, Camera, Rigid]] = []

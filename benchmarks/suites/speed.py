@@ -214,12 +214,15 @@ def _many(options: Options) -> tuple[float, str]:
     for seed in range(MANY):
         write_photo(scene_of(SIZES[0], seed=seed + 1), folder, f"photo-{seed:02}")
     with tempfile.TemporaryDirectory() as place:
-        together = run_timed([*CHILD, "many", str(folder), place], {"XDG_CACHE_HOME": f"{place}/cache"})
-        answer = together.answer()
-        photos = sorted(folder.glob("*.jpg"))[:MANY_COMMANDS]
-        words = ["--camera", str(folder / "camera.json"), "--slab", str(SLAB_M[0]), "-o", f"{place}/one"]
         own_cache = {"XDG_CACHE_HOME": f"{place}/cache"}
-        alone = [run_timed(["-m", "autoreg", "align", str(p), *words], own_cache).seconds for p in photos]
+        words = ["--camera", str(folder / "camera.json"), "--slab", str(SLAB_M[0]), "-o", f"{place}/one"]
+        photos = sorted(folder.glob("*.jpg"))[:MANY_COMMANDS]
+        commands = [["-m", "autoreg", "align", str(photo), *words] for photo in photos]
+        # The first run fills the cache of what was compiled, for one process as for the commands.
+        run_timed(commands[0], own_cache)
+        together = run_timed([*CHILD, "many", str(folder), place], own_cache)
+        answer = together.answer()
+        alone = [run_timed(command, own_cache).seconds for command in commands]
     per_photo, per_command = together.seconds / answer["photos"], float(np.mean(alone))
     said = (
         f"{answer['photos']} photos in one process of two threads: {per_photo:.2f} s each "
