@@ -114,7 +114,7 @@ def _laid(
         Refusal: there is none, or it cannot be one of slabs on the ground.
     """
     height, width = picture.shape
-    found = find_paving(sight.looks, sight.segments, (width, height), camera, slab)
+    found = find_paving(sight, camera, slab)
     given = camera if source == "file" else None
     # A wrong camera may leave rows of what is a lattice.
     blamed = _other_camera(sight, given) if isinstance(found, Rows) else None
@@ -137,9 +137,7 @@ def _laid(
 
 def _other_camera(sight: Sight, given: Camera | None) -> Refusal | None:
     """The refusal of a given camera, if the joints clearly fit another one."""
-    if given is None:
-        return None
-    return other_camera(sight.looks, sight.segments, (given.width, given.height), given)
+    return None if given is None else other_camera(sight, given)
 
 
 def _concluded(
