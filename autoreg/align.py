@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
@@ -150,10 +151,12 @@ def _concluded(
     """The answer in the canonical frame and in metres."""
     fit, settled, squared = laid.fit, laid.settled, laid.squared
     field = settled.presence.field
-    last = rested(picture, fit, REACH, field) if squared is None else squared.settled
     # A camera that comes from the joints themselves is nothing that they could contradict.
     asked = None if source == "photo" else picture
-    check = check_camera(fit, asked, field, last.scatter)
+    with ThreadPoolExecutor(1) as beside:
+        checked = beside.submit(check_camera, fit, asked, field, laid.likeliest.scatter)
+        last = rested(picture, laid.likeliest, REACH, field)
+        check = checked.result()
     fit, told = last.fit, fit.grid.spacing_x is not None
     if source == "photo" and told and check.focal_sigma_px > MOST_SLABS_FOCAL_SIGMA * check.focal_px:
         sigma = check.focal_sigma_px / check.focal_px
