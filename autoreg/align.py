@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
@@ -114,7 +115,7 @@ def _laid(
         Refusal: there is none, or it cannot be one of slabs on the ground.
     """
     height, width = picture.shape
-    found = find_paving(sight.looks, sight.segments, (width, height), camera, slab)
+    found = find_paving(sight, camera, slab)
     given = camera if source == "file" else None
     # A wrong camera may leave rows of what is a lattice.
     blamed = _other_camera(sight, given) if isinstance(found, Rows) else None
@@ -137,9 +138,7 @@ def _laid(
 
 def _other_camera(sight: Sight, given: Camera | None) -> Refusal | None:
     """The refusal of a given camera, if the joints clearly fit another one."""
-    if given is None:
-        return None
-    return other_camera(sight.looks, sight.segments, (given.width, given.height), given)
+    return None if given is None else other_camera(sight, given)
 
 
 def _concluded(
@@ -152,10 +151,12 @@ def _concluded(
     """The answer in the canonical frame and in metres."""
     fit, settled, squared = laid.fit, laid.settled, laid.squared
     field = settled.presence.field
-    last = rested(picture, fit, REACH, field) if squared is None else squared.settled
     # A camera that comes from the joints themselves is nothing that they could contradict.
     asked = None if source == "photo" else picture
-    check = check_camera(fit, asked, field, last.scatter)
+    with ThreadPoolExecutor(1) as beside:
+        checked = beside.submit(check_camera, fit, asked, field, laid.likeliest.scatter)
+        last = rested(picture, laid.likeliest, REACH, field)
+        check = checked.result()
     fit, told = last.fit, fit.grid.spacing_x is not None
     if source == "photo" and told and check.focal_sigma_px > MOST_SLABS_FOCAL_SIGMA * check.focal_px:
         sigma = check.focal_sigma_px / check.focal_px

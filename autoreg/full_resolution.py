@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from autoreg.conclude import slab_mismatch, with_slab_ratio
 from autoreg.corrections import with_measured_shift
 from autoreg.freedom import Free
+from autoreg.last_step import likeliest
 from autoreg.lattice_choice import Paving, presented
 from autoreg.presence import presence_of
 from autoreg.refine import FROM_THE_FEET, WIDE_SEARCH, Fit, refine, refine_until_still
@@ -18,6 +20,7 @@ from autoreg.rows import STEP_SIGMA, Rows, common_sag
 from autoreg.segments import Segments
 from autoreg.sight import Sight
 from autoreg.stations import Grid
+from autoreg.uncertainty import Settled
 
 # Rows must tell a focal length as well as EXIF does. It enters the tilt by sin(pitch) cos(pitch) at most, so
 # that the tilt is within 3 degrees of the truth in 95 of 100 photos at the least.
@@ -34,11 +37,13 @@ MOST_MISSED = 0.3
 class Laid:
     """Paving, measured at the photo's own resolution, and the presence of its sides at detection scale.
 
-    Rows have a crossing to start their frame from, and, without a camera, one at which they are square.
+    `likeliest` is the fit at the pose that its joints' places make likeliest. Rows have a crossing to start
+    their frame from, and, without a camera, one at which they are square.
     """
 
     fit: Fit
     settled: Paving
+    likeliest: Settled
     crossing: np.ndarray | None = None
     squared: Squared | None = None
 
@@ -61,7 +66,7 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
         fit, crossing = squared.settled.fit, squared.crossing
     small = sight.looks.picture
     settled = _settled_rows(small, _at_detection_scale(fit, small, found.paving), found)
-    return Laid(fit, settled, crossing, squared)
+    return Laid(fit, settled, likeliest(fit) if squared is None else squared.settled, crossing, squared)
 
 
 def measured_slabs(
@@ -76,10 +81,12 @@ def measured_slabs(
         raise mismatch
     start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
     fit = _measure(picture, start, free)
-    settled = presented(small, _at_detection_scale(fit, small, start))
-    if settled is None or settled.margin_nats < 0:
-        raise no_lattice(settled, None)
-    return Laid(fit, settled)
+    with ThreadPoolExecutor(1) as beside:
+        rests = beside.submit(likeliest, fit)
+        settled = presented(small, _at_detection_scale(fit, small, start))
+        if settled is None or settled.margin_nats < 0:
+            raise no_lattice(settled, None)
+        return Laid(fit, settled, rests.result())
 
 
 def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free) -> Squared:

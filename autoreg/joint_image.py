@@ -119,7 +119,7 @@ class JointImage:
         for rows, edges, tones in ((x, self.lines, self._tones_x()), (y, self.columns, self._tones_y())):
             for side in (0, 1):
                 share[rows, tones[side]] = edges.share[side]
-        share[:, JOINT] = 1.0 - share[:, :JOINT].sum(1)
+        share[:, JOINT] = 1.0 - share[:, :JOINT] @ np.ones(JOINT)
         return share
 
     def _tones_x(self) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
@@ -172,7 +172,8 @@ class JointImage:
     def _by_plane(self, slopes: Slopes) -> Float[np.ndarray, "n 3"]:
         """Derivatives by a shift of the ground on the camera's side, each pixel's own."""
         R, rows, g = self.shape.pose.R, self.view.rows, slopes.by_ground
-        return ((g * rows[:, :2]).sum(1) / rows[:, 2])[:, None] * R[:, 2] - g @ R[:, :2].T
+        along = np.einsum("nk,nk->n", g, rows[:, :2]) / rows[:, 2]
+        return along[:, None] * R[:, 2] - g @ R[:, :2].T
 
     def by_lens(self, slopes: Slopes) -> Float[np.ndarray, "n 3"]:
         """Derivatives by the first radial coefficient, and by pixels that the picture is moved.
@@ -181,7 +182,8 @@ class JointImage:
         """
         rays, per_px = self.pixels.rays, self.pixels.per_px
         seen = self._by_plane(slopes)[:, :2] / self.view.depth[:, None]
-        wider = (seen * rays[:, :2]).sum(1) * (rays[:, :2] ** 2).sum(1)
+        x, y = rays[:, 0], rays[:, 1]
+        wider = (seen[:, 0] * x + seen[:, 1] * y) * (x * x + y * y)
         return np.column_stack([wider, seen * np.stack([per_px[:, 0, 0], per_px[:, 1, 1]], 1)])
 
     def by_pose(self, slopes: Slopes) -> Float[np.ndarray, "n 7"]:

@@ -95,11 +95,14 @@ def middle_px(
 
 
 def search_joints(
-    profiles: Profiles, stations: Stations, strip: Strip, reach_px: np.ndarray
+    profiles: Profiles, stations: Stations, strip: Strip, reach_px: np.ndarray, widest_px: float | None = None
 ) -> Float[np.ndarray, " n"]:
-    """Offset of each joint, to half a pixel, within its own reach."""
+    """Offset of each joint, to half a pixel, within its own reach.
+
+    `widest_px` is the reach of the widest search that these joints are part of, if they are not all of it.
+    """
     width = width_px_of(strip, stations, profiles)
-    reach = float(reach_px.max())
+    reach = float(reach_px.max()) if widest_px is None else widest_px
     start = search_offsets(profiles, width, reach, reach / 2.0, strip.blur_px)
     return np.clip(start, -reach_px, reach_px)
 
@@ -110,24 +113,33 @@ def first_look(
     """Joint widths that explain the profiles best, from a few guesses, and the offsets found with them.
 
     Each family has its own. All guesses are judged by all that is seen of a profile: within its own reach a
-    narrow strip explains one edge of a wide joint as well as a wide one explains both.
+    narrow strip explains one edge of a wide joint as well as a wide one explains both. A sample tells which
+    guess is right.
     """
-    samples = [_sample(stations.family == family) for family in (ALONG_X, ALONG_Y)]
-    start, width, least = np.zeros(len(stations)), list(strip.width), [np.inf, np.inf]
+    rows = np.sort(np.concatenate([_sample(stations.family == family) for family in (ALONG_X, ALONG_Y)]))
+    some, places, reach = profiles.take(rows), stations.take(rows), float(reach_px.max())
+
+    def looked(
+        profiles: Profiles, stations: Stations, guess: Strip, reach_px: np.ndarray
+    ) -> Float[np.ndarray, " n"]:
+        found = search_joints(profiles, stations, guess, reach_px, reach)
+        width_px = width_px_of(guess, stations, profiles)
+        return fit_offsets(profiles, found, width_px, guess.blur_px, iterations=2).offset_px
+
+    width, least, blur = list(strip.width), [np.inf, np.inf], np.array([strip.blur_px])
     for share in FIRST_SHARES:
         guess = replace(strip, width=(share * side[1], share * side[0]))
-        found = search_joints(profiles, stations, guess, reach_px)
-        width_px = width_px_of(guess, stations, profiles)
-        fit = fit_offsets(profiles, found, width_px, guess.blur_px, iterations=2)
-        for family, rows in enumerate(samples):
-            if len(rows) == 0:
+        offset_px = looked(some, places, guess, reach_px[rows])
+        for family in (ALONG_X, ALONG_Y):
+            own = np.flatnonzero(places.family == family)
+            if len(own) == 0:
                 continue
-            blur = np.array([guess.blur_px])
-            misfit = float(strip_misfits(profiles, rows, fit.offset_px[rows], width_px[None, rows], blur)[0])
+            width_px = width_px_of(guess, places, some)[None, own]
+            misfit = float(strip_misfits(some, own, offset_px[own], width_px, blur)[0])
             if misfit < least[family] - WIDER:
                 least[family], width[family] = misfit, guess.width[family]
-                start = np.where(stations.family == family, fit.offset_px, start)
-    return start, replace(strip, width=(width[0], width[1]))
+    strip = replace(strip, width=(width[0], width[1]))
+    return looked(profiles, stations, strip, reach_px), strip
 
 
 def joint_polarity(

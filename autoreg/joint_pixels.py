@@ -108,12 +108,23 @@ class JointPixels:
         """One pixel of so many of each kind; blocks and cells keep their numbers."""
         ends = np.cumsum((0, *self.counts))
         rows = [np.arange(start, end, every) for start, end in pairwise(ends.tolist())]
-        index = np.concatenate(rows)
-        per_px = self.per_px[index] if len(self.per_px) > 1 else self.per_px
+        return self._take(np.concatenate(rows), (len(rows[0]), len(rows[1]), len(rows[2])))
+
+    def parts(self, most: int) -> list[JointPixels]:
+        """All pixels in parts of about so many at most; blocks and cells keep their numbers."""
+        kinds = np.cumsum((0, *self.counts))
+        ends = np.linspace(0, len(self), 1 + max(1, round(len(self) / most))).astype(int).tolist()
+        parts: list[JointPixels] = []
+        for start, end in pairwise(ends):
+            crossing, along_x, along_y = np.diff(np.clip(kinds, start, end)).tolist()
+            parts.append(self._take(slice(start, end), (crossing, along_x, along_y)))
+        return parts
+
+    def _take(self, index: np.ndarray | slice, counts: tuple[int, int, int]) -> JointPixels:
         return JointPixels(
             self.grey[index],
             self.rays[index],
-            per_px,
+            self.per_px[index] if len(self.per_px) > 1 else self.per_px,
             self.line[index],
             self.column[index],
             self.before[index],
@@ -121,7 +132,7 @@ class JointPixels:
             self.beyond[index],
             self.block[index],
             self.cell[index],
-            (len(rows[0]), len(rows[1]), len(rows[2])),
+            counts,
             self.blocks,
             self.places,
         )

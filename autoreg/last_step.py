@@ -17,28 +17,36 @@ from autoreg.uncertainty import Settled, settle
 UNEVEN_PX = 0.04
 
 
-def rested(
-    picture: Float[np.ndarray, "h w"],
-    fit: Fit,
-    reach: float,
-    field: Float[np.ndarray, "k 2"] | None = None,
-) -> Settled:
-    """The fit at its last pose, with that pose's covariance, and the scatter of its slabs.
+def likeliest(fit: Fit) -> Settled:
+    """The fit at its likeliest pose by the measured places of its joints, and the scatter of its slabs.
 
     The model of irregular slabs knows the turn better, and the place as well where the joints' widths tell
     how far the relief of sunk joints moves them. Without these a relief is hard to tell from a shift of all
-    joints, and the plain joints know the place better. Where the slabs lie so evenly that the picture's grey
-    levels can tell no difference, these tell the pose.
+    joints, and the plain joints know the place better.
     """
     if fit.grid.spacing_x is None:
         return settle(fit)
     fit = without_washed_out(fit)
     settled = settle(fit)
-    if not widths_told(fit):
-        settled = replace(settled, fit=recentred(settled.fit))
+    return settled if widths_told(fit) else replace(settled, fit=recentred(settled.fit))
+
+
+def rested(
+    picture: Float[np.ndarray, "h w"],
+    settled: Settled,
+    reach: float,
+    field: Float[np.ndarray, "k 2"] | None = None,
+) -> Settled:
+    """A fit from its likeliest pose brought to its last one.
+
+    Where the slabs lie so evenly that the picture's grey levels can tell no difference, these tell the pose.
+    """
+    fit = settled.fit
+    if fit.grid.spacing_x is None:
+        return settled
     if settled.scatter.place * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
         return settled
-    exact = on_grey_levels(picture, settled.fit, settled.covariance, reach, field)
+    exact = on_grey_levels(picture, fit, settled.covariance, reach, field)
     if exact is None:
         return settled
     # Of a large picture's pixels a few are looked at, and the measured places may know more.

@@ -7,6 +7,7 @@ The presence of every single slab side tells.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +17,7 @@ from autoreg.ground_frame import turned, with_origin
 from autoreg.patterns import Pattern, best_pattern, broken
 from autoreg.presence import Presence, presence_of
 from autoreg.refine import Fit
+from autoreg.side_by_side import side_by_side
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
 
 # What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
@@ -184,27 +186,36 @@ def presented(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | 
 
 def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
     """The fit with a finer lattice, if sides are there between the joints of the one it has."""
-    grid = fit.grid
-    if grid.spacing_x is None:
+    if fit.grid.spacing_x is None:
         return None
+    families = (ALONG_Y,) if fit.grid.shift else (ALONG_X, ALONG_Y)
     for factor in (2, 3):
-        for family in (ALONG_X, ALONG_Y):
-            if grid.shift and family == ALONG_X:
-                continue
-            a = grid.spacing_x / (factor if family == ALONG_Y else 1)
-            b = grid.spacing_y / (factor if family == ALONG_X else 1)
-            fine = replace(fit, grid=Grid(a, b, (grid.shift * factor) % 1.0 if grid.shift else 0.0))
-            presence = presence_of(
-                picture, fine, limit=SUBDIVIDE_SIDES, only=family, controls_wanted=SUBDIVIDE_CONTROLS
-            )
-            best = best_pattern(presence, family)
-            same = (factor, _carry(grid, factor), 0)
-            known = next(p for p in best if (p.period, p.advance, p.phase) == same)
-            if best[0].score - known.score > SUBDIVIDE_NATS:
-                other = Pattern(1, 0, 0, 0.0)
-                x, y = (best[0], other) if family == ALONG_X else (other, best[0])
-                return with_pattern(fine, x, y) or fine
+        finer = partial(_divided, picture, fit, fit.grid.spacing_x, factor)
+        found = next((f for f in side_by_side(finer, families) if f is not None), None)
+        if found is not None:
+            return found
     return None
+
+
+def _divided(
+    picture: Float[np.ndarray, "h w"], fit: Fit, spacing_x: float, factor: int, family: int
+) -> Fit | None:
+    """The fit with so many times as many joints of a family, or some of them, if these are there."""
+    grid = fit.grid
+    a = spacing_x / (factor if family == ALONG_Y else 1)
+    b = grid.spacing_y / (factor if family == ALONG_X else 1)
+    fine = replace(fit, grid=Grid(a, b, (grid.shift * factor) % 1.0 if grid.shift else 0.0))
+    presence = presence_of(
+        picture, fine, limit=SUBDIVIDE_SIDES, only=family, controls_wanted=SUBDIVIDE_CONTROLS
+    )
+    best = best_pattern(presence, family)
+    same = (factor, _carry(grid, factor), 0)
+    known = next(p for p in best if (p.period, p.advance, p.phase) == same)
+    if best[0].score - known.score <= SUBDIVIDE_NATS:
+        return None
+    whole = Pattern(1, 0, 0, 0.0)
+    x, y = (best[0], whole) if family == ALONG_X else (whole, best[0])
+    return with_pattern(fine, x, y) or fine
 
 
 def _carry(grid: Grid, factor: int) -> int:

@@ -36,11 +36,10 @@ from autoreg.photometric_step import (
     DOUBTED,
     UNKNOWNS,
     Step,
-    cell_information,
-    cell_scores,
     first_state,
     moved_shape,
     stepped,
+    told_by_cells,
     with_doubts,
 )
 from autoreg.refine import LEAST_WEIGHT, Fit
@@ -165,7 +164,7 @@ def _sound(shape: Shape, start: Shape) -> bool:
 
 def _judged(last: Step, fit: Fit, covariance: Float[np.ndarray, "6 6"]) -> Photometric | None:
     """The answer, if its slabs are even and the joints' measured places do not contradict it."""
-    state, pixels = last.state, last.image.pixels
+    state, pixels = last.state, last.pixels
     counted = int((np.bincount(pixels.cell, state.weight) > 0).sum())
     if counted < SPARE_CELLS + len(last.free):
         return None
@@ -195,12 +194,12 @@ def _averaged(last: Step) -> tuple[Averaged, float]:
     """A last step of all unknowns, averaged over what is doubted, and the design effect of the pose."""
     known, noise = len(last.free), last.state.noise
     unknowns, last = np.r_[last.free, UNKNOWNS + np.arange(DOUBTED)], with_doubts(last)
-    scores, told = cell_scores(last, unknowns), cell_information(last, unknowns)
+    scores, told = told_by_cells(last, unknowns)
     information, score = told.sum(0), scores.sum(0)
     ridge = np.diag(np.r_[np.zeros(known), 1e-12 + 1e-9 * np.diag(information)[known:]])
     # Judged by what is left when all that is doubted has been taken out.
     left = scores - told @ np.linalg.solve(information + ridge, score)
-    effect = max(*design_effects(left, told, ridge, last.image.pixels.places, noise, slice(0, 6)), 1.0)
+    effect = max(*design_effects(left, told, ridge, last.pixels.places, noise, slice(0, 6)), 1.0)
     variance = noise**2 * effect
     return averaged_over(DOUBTS, information / variance, score / variance, known), effect
 

@@ -14,7 +14,8 @@ from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
 from autoreg.joint_image import JointImage, Shape, Slopes, with_looks
 from autoreg.joint_pixels import JOINT, JointPixels
 from autoreg.refine import Fit
-from autoreg.tones import Blocks, tone_variances
+from autoreg.side_by_side import side_by_side
+from autoreg.tones import Blocks, Shares, tone_variances
 
 # Looks change by at most this much at a time, in their logarithms.
 MOST_LOOKS_STEP = 0.3
@@ -27,6 +28,9 @@ LEAST_NOISE = 0.05
 # Unknowns besides the tones of blocks: seven of the pose, three looks, the mean tones of slabs and of joints;
 # behind them stand the columns of what the drawing leaves out, which no step solves for.
 LOOKS, MEANS, UNKNOWNS, DOUBTED = slice(7, 10), slice(10, 12), 12, 7
+
+# Pixels that are drawn at a time, such parts side by side: what a processor's cache holds.
+MOST_AT_ONCE = 32_768
 
 
 @dataclass(frozen=True)
@@ -44,25 +48,39 @@ class State:
 
 
 @dataclass(frozen=True)
+class Part:
+    """Some of the pixels, as they are drawn from a state.
+
+    `columns` are their derivatives by all unknowns and, behind these, their grey levels; `shares` are the
+    tones', block by block.
+    """
+
+    image: JointImage
+    slopes: Slopes
+    share: Float[np.ndarray, "n t"]
+    weight: Float[np.ndarray, " n"]
+    columns: Float[np.ndarray, "n p"]
+    shares: Shares
+
+
+@dataclass(frozen=True)
 class Step:
     """One Gauss-Newton step: where it led, its size in sigmas, and what cells' scores are made of.
 
-    `image` and `slopes` are those that it was taken from. `columns` are the pixels' derivatives by all
-    unknowns, `sums` and `solved` the blocks' products with them and the tones that imitate them, with `ridge`
-    for what is known of the tones.
+    It was taken from all `pixels` by `parts`. `sums` and `solved` are the blocks' products with the columns
+    of the unknowns and the tones that imitate these, with `ridge` for what is known of the tones; `left` is
+    what is left of each part's grey levels.
     """
 
     state: State
     free: Int[np.ndarray, " k"]
-    image: JointImage
-    slopes: Slopes
+    pixels: JointPixels
+    parts: list[Part]
     blocks: Blocks
     ridge: Float[np.ndarray, " t"]
-    columns: Float[np.ndarray, "n p"]
     sums: Float[np.ndarray, "m t p"]
     solved: Float[np.ndarray, "m t p"]
-    left: Float[np.ndarray, " n"]
-    weight: Float[np.ndarray, " n"]
+    left: list[np.ndarray]
     sigmas: float
 
 
@@ -72,30 +90,33 @@ def first_state(pixels: JointPixels, shape: Shape, fit: Fit) -> State:
     common = np.stack([1.0 - share[:, JOINT], share[:, JOINT]], 1)
     means = np.linalg.lstsq(common.T @ common + 1e-6 * np.eye(2), common.T @ pixels.grey, rcond=None)[0]
     weight = np.ones(len(pixels))
-    blocks = Blocks(pixels, share, weight)
+    shares = Shares(pixels, share, weight)
     middle = np.r_[[means[0]] * JOINT, means[1]]
-    tones = middle + blocks.solve(blocks.sums((pixels.grey - share @ middle)[:, None]), 0.02)[..., 0]
-    noise = _scatter(pixels.grey - (share * tones[pixels.block]).sum(1), weight)
+    away = shares.sums((pixels.grey - share @ middle)[:, None])
+    tones = middle + Blocks([shares]).solve(away, 0.02)[..., 0]
+    noise = _scatter(_without_tones(pixels, share, tones), weight)
     return State(shape, fit, tones, noise, weight)
 
 
 def stepped(pixels: JointPixels, state: State) -> Step | None:
     """One Gauss-Newton step of the pose, the looks and all tones."""
-    image = JointImage(pixels, state.shape)
-    share, weight = image.shares(), state.weight
+    some = pixels.parts(MOST_AT_ONCE)
+    images = side_by_side(lambda part: JointImage(part, state.shape), some)
+    share = side_by_side(JointImage.shares, images)
+    weight = state.weight
     if weight is None:
-        off = pixels.grey - (share * state.tones[pixels.block]).sum(1)
-        weight = _robust(off, state.noise, pixels.cell)
-    slopes = image.slopes(state.tones[pixels.block])
-    means = 1.0 - share[:, JOINT], share[:, JOINT]
-    columns = np.column_stack([image.by_pose(slopes), slopes.by_looks, *means, pixels.grey])
+        off = [_without_tones(part, own, state.tones) for part, own in zip(some, share, strict=True)]
+        weight = _robust(np.concatenate(off), state.noise, pixels.cell)
+    ends = np.cumsum([len(part) for part in some])[:-1]
+    drawn = list(zip(images, share, np.split(weight, ends), strict=True))
+    parts = side_by_side(lambda part: _part(*part, state.tones), drawn)
     free = freed(state.fit)
-    blocks = Blocks(pixels, share, weight)
-    sums = blocks.sums(columns)
+    blocks = Blocks(part.shares for part in parts)
+    sums, squares = (np.sum(products, 0) for products in zip(*side_by_side(_products, parts), strict=True))
     variances = tone_variances(blocks, blocks.solve(sums[..., -1:], 1e-3)[..., 0], state.noise)
     ridge = state.noise**2 / np.r_[[variances[0]] * JOINT, variances[1]]
     solved = blocks.solve(sums, ridge)
-    H = (columns * weight[:, None]).T @ columns - np.einsum("mtp,mtq->pq", sums, solved)
+    H = squares - np.einsum("mtp,mtq->pq", sums, solved)
     unit = 1.0 / np.sqrt(np.maximum(np.diag(H)[free], 1e-12))
     information = H[np.ix_(free, free)]
     scaled = information * np.outer(unit, unit)
@@ -107,58 +128,93 @@ def stepped(pixels: JointPixels, state: State) -> Step | None:
     means = np.r_[[step[10]] * JOINT, step[11]]
     off = solved[..., -1] - solved[..., :UNKNOWNS] @ step
     tones = off + means
-    left = (
-        pixels.grey - (share * tones[pixels.block]).sum(1) - columns[:, : MEANS.start] @ step[: MEANS.start]
-    )
-    noise = _scatter(left, weight)
+    left = side_by_side(lambda part: _left(part, tones, step), parts)
+    all_left = np.concatenate(left)
+    noise = _scatter(all_left, weight)
     moved = replace(state, shape=moved_shape(state.shape, step), tones=tones, noise=noise)
     # Of the means, a step has no size: they are found anew each time.
     motion = np.where(free < MEANS.start, step[free], 0.0)
     sigmas = float(np.sqrt(motion @ information @ motion)) / noise
-    moved = replace(moved, weight=_robust(left, noise, pixels.cell))
-    own = columns[:, :-1], sums[..., :-1], solved[..., :-1]
-    return Step(moved, free, image, slopes, blocks, ridge, *own, left, weight, sigmas)
+    moved = replace(moved, weight=_robust(all_left, noise, pixels.cell))
+    return Step(moved, free, pixels, parts, blocks, ridge, sums[..., :-1], solved[..., :-1], left, sigmas)
+
+
+def _part(image: JointImage, share: np.ndarray, weight: np.ndarray, tones: np.ndarray) -> Part:
+    """Some pixels with all that a step needs of them."""
+    pixels = image.pixels
+    slopes = image.slopes(tones[pixels.block])
+    means = 1.0 - share[:, JOINT], share[:, JOINT]
+    columns = np.column_stack([image.by_pose(slopes), slopes.by_looks, *means, pixels.grey])
+    return Part(image, slopes, share, weight, columns, Shares(pixels, share, weight))
+
+
+def _products(part: Part) -> tuple[Float[np.ndarray, "m t p"], Float[np.ndarray, "p p"]]:
+    """Weighted products of a part's columns with the shares of the blocks' tones, and with each other."""
+    return part.shares.sums(part.columns), (part.columns * part.weight[:, None]).T @ part.columns
+
+
+def _without_tones(pixels: JointPixels, share: np.ndarray, tones: np.ndarray) -> Float[np.ndarray, " n"]:
+    """Grey levels without what the tones of their blocks explain."""
+    return pixels.grey - np.einsum("nt,nt->n", share, tones[pixels.block])
+
+
+def _left(part: Part, tones: np.ndarray, step: np.ndarray) -> Float[np.ndarray, " n"]:
+    """What a step leaves of a part's grey levels."""
+    moved = part.columns[:, : MEANS.start] @ step[: MEANS.start]
+    return _without_tones(part.image.pixels, part.share, tones) - moved
 
 
 def with_doubts(last: Step) -> Step:
-    """The same step with the columns of what the drawing leaves out."""
-    more = np.column_stack([last.image.lopsided(), last.image.by_lens(last.slopes)])
-    sums = last.blocks.sums(more)
-    return replace(
-        last,
-        columns=np.concatenate([last.columns, more], 1),
-        sums=np.concatenate([last.sums, sums], 2),
-        solved=np.concatenate([last.solved, last.blocks.solve(sums, last.ridge)], 2),
-    )
+    """The same step with the columns of what the drawing leaves out, instead of the grey levels."""
+    more = side_by_side(_doubts, last.parts)
+    both = list(zip(last.parts, more, strict=True))
+    sums = np.sum([part.shares.sums(columns) for part, columns in both], 0)
+    solved = np.concatenate([last.solved, last.blocks.solve(sums, last.ridge)], 2)
+    parts = [replace(p, columns=np.concatenate([p.columns[:, :-1], columns], 1)) for p, columns in both]
+    return replace(last, parts=parts, sums=np.concatenate([last.sums, sums], 2), solved=solved)
 
 
-def cell_scores(last: Step, free: Int[np.ndarray, " k"]) -> Float[np.ndarray, "c k"]:
-    """Gradient of every cell's misfit by the unknowns, as far as no tone can imitate it."""
-    pixels = last.image.pixels
-    n = len(pixels)
-    gather = csr_matrix((last.weight * last.left, (pixels.cell, np.arange(n))), shape=(pixels.cells, n))
-    imitated = np.einsum("mtk,mt->mk", last.solved[..., free], last.blocks.sums(last.left[:, None])[..., 0])
-    scores = gather @ last.columns[:, free]
-    return scores - _by_cell(last, imitated)
+def _doubts(part: Part) -> Float[np.ndarray, "n d"]:
+    """What a part's grey levels change by where they are doubted."""
+    return np.column_stack([part.image.lopsided(), part.image.by_lens(part.slopes)])
 
 
-def cell_information(last: Step, free: Int[np.ndarray, " k"]) -> Float[np.ndarray, "c k k"]:
-    """What every cell tells of the unknowns; together that is the step's normal matrix."""
-    pixels, k = last.image.pixels, len(free)
+def told_by_cells(
+    last: Step, unknowns: Int[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "c k k"]]:
+    """Gradient of every cell's misfit by the unknowns, as far as no tone can imitate it, and its information.
+
+    The sum of what all cells tell is the step's normal matrix.
+    """
+    both = list(zip(last.parts, last.left, strict=True))
+    of_parts = side_by_side(lambda part: _told_by_cells(*part, unknowns), both)
+    scores, told = (np.sum(parts, 0) for parts in zip(*of_parts, strict=True))
+    left = np.sum([part.shares.sums(left[:, None]) for part, left in both], 0)
+    sums, solved = last.sums[..., unknowns], last.solved[..., unknowns]
+    scores -= _by_cell(last.pixels, np.einsum("mtk,mt->mk", solved, left[..., 0]))
+    imitated = (np.swapaxes(sums, 1, 2) @ solved).reshape(len(sums), -1)
+    return scores, told - _by_cell(last.pixels, imitated).reshape(told.shape)
+
+
+def _told_by_cells(
+    part: Part, left: np.ndarray, unknowns: np.ndarray
+) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "c k k"]]:
+    """What a part's pixels tell, cell by cell, if they have the tones that they have."""
+    pixels, k = part.image.pixels, len(unknowns)
     order = np.argsort(pixels.cell, kind="stable")
-    sorted_columns = last.columns[order][:, free]
-    weighted = sorted_columns * last.weight[order, None]
+    columns = part.columns[np.ix_(order, unknowns)]
+    weighted, left = columns * part.weight[order, None], left[order]
     ends = np.cumsum(np.bincount(pixels.cell, minlength=pixels.cells)).tolist()
-    told = np.empty((pixels.cells, k, k))
+    scores, told = np.empty((pixels.cells, k)), np.empty((pixels.cells, k, k))
     for cell, (start, end) in enumerate(pairwise([0, *ends])):
-        told[cell] = weighted[start:end].T @ sorted_columns[start:end]
-    imitated = np.einsum("mtp,mtq->mpq", last.sums[..., free], last.solved[..., free])
-    return told - _by_cell(last, imitated.reshape(len(imitated), -1)).reshape(told.shape)
+        told[cell] = weighted[start:end].T @ columns[start:end]
+        scores[cell] = left[start:end] @ weighted[start:end]
+    return scores, told
 
 
-def _by_cell(last: Step, of_blocks: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "c k"]:
+def _by_cell(pixels: JointPixels, of_blocks: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "c k"]:
     """Sums over the blocks of every cell."""
-    pixels, cell = last.image.pixels, np.zeros(last.blocks.count, dtype=np.int64)
+    cell = np.zeros(pixels.blocks, dtype=np.int64)
     cell[pixels.block] = pixels.cell
     ones, block = np.ones(len(cell)), np.arange(len(cell))
     return csr_matrix((ones, (cell, block)), shape=(pixels.cells, len(cell))) @ of_blocks

@@ -38,8 +38,9 @@ from autoreg.stations import (
 )
 from autoreg.widths import Widths, fit_widths
 
-# Solves per round, each with the scatter that the one before left.
-SOLVES = 2
+# Solves per round, each with the scatter that the one before left; and the widest search, in slab sides, that
+# finds the joints for good.
+SOLVES, NARROW = 2, 0.04
 # A slab's side is at least this part of the camera's height, and at most as many times it.
 MOST_SIDES = 200.0
 # Where joints are neither dark nor light, those whose contrast, against the light around them, is below this
@@ -221,14 +222,19 @@ def _round(
     else:
         start = np.zeros(len(stations))
     widest_px = 2 * (half - SHOULDERS_PX + 3.0)
-    # Joints of unknown looks are measured again with the looks that the first measurement told.
+    # Joints of unknown looks are measured again with the looks that the first measurement told, and so are
+    # those that are found for good where they look otherwise than thought.
     offsets, usable = None, None
-    for _ in range(1 if known else 2):
+    rough = search > NARROW
+    for _ in range(2 if not known or (search and not rough) else 1):
+        thought = strip
         measured = _measured(profiles, stations, start, strip, widest_px, reach_px, side, known=known)
         if measured is None:
             return None
         offsets, usable, strip = measured
         start = offsets.offset_px
+        if known and strip.like(thought):
+            break
     assert offsets is not None
     assert usable is not None
     middle = middle_px(camera, pose, stations, profiles.normal, strip)
@@ -237,10 +243,10 @@ def _round(
     offsets = replace(offsets, offset_px=offsets.offset_px - bloom)
     sigma = np.hypot(offsets.sigma_px, 0.3)
     fit: Fit | None = None
-    # While joints are searched the next round solves again.
-    for _ in range(1 if search else SOLVES):
+    # While joints are searched farther off the next round solves again.
+    for _ in range(1 if rough else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
-        solution = solve_joints(data, free.mask, free.prior(camera), rough=search > 0)
+        solution = solve_joints(data, free.mask, free.prior(camera), rough=rough)
         moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
         if solution.outcome == "diverged" or not _plausible(moved, new_grid):
             return fit

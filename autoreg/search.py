@@ -22,7 +22,7 @@ from autoreg.paving import (
 from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.rows import Rows, lay_rows
 from autoreg.segments import Segments
-from autoreg.sight import Looks
+from autoreg.sight import Looks, Sight
 
 # Ground hypotheses that are taken from the segments, with a camera and without, and how many of them are
 # looked into, those with the clearest joints first.
@@ -32,51 +32,70 @@ RADIAL_SIGMA = 0.1
 
 
 def find_paving(
-    looks: Looks,
-    segments: Segments,
-    size: tuple[int, int],
-    camera: Camera | None,
-    slab: tuple[float, float] | None = None,
+    sight: Sight, camera: Camera | None, slab: tuple[float, float] | None = None
 ) -> Paving | Rows:
     """The lattice that explains the photo best, at detection scale; of those that suit the slab, if any do.
 
+    What is plain to see by a known camera is found by the coarser segments alone, while the others are being
+    looked for. They would tell a focal length too roughly.
+
     Args:
-        looks: the photo at detection scale.
-        segments: those of the photo, in its own pixels.
-        size: the photo's width and height.
+        sight: what is seen of the photo.
         camera: its camera, or None to look for a focal length as well.
         slab: sides of a slab in either order, if known.
 
     Raises:
         Refusal: none explains it better than chance.
     """
-    free, hypotheses = _hypotheses(segments, size, camera)
-    first = _at_a_glance(looks, hypotheses, free)
+    looks = sight.looks
 
     def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
         return pavings if slab is None else suited(looks.picture, pavings, slab) or pavings
 
-    best = () if first is None else suitable((first,))
-    if not best or best[0].margin_nats < CERTAIN_NATS:
+    def glanced(free: Free, hypotheses: list[Hypothesis]) -> tuple[Paving, ...]:
+        first = _at_a_glance(looks, hypotheses, free)
+        return () if first is None else suitable((first,))
+
+    if camera is not None:
+        plain = glanced(*_hypotheses(sight.detection.coarse, sight.size, camera))
+        if _certain(plain):
+            return _unrivalled(plain)
+    segments = sight.segments
+    free, hypotheses = _hypotheses(segments, sight.size, camera)
+    best = glanced(free, hypotheses)
+    if not _certain(best):
         ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
         for plane in ranked:
             pavings = suitable(lay_lattice(looks, plane, free))
             if pavings and (not best or pavings[0].margin_nats > best[0].margin_nats):
                 best = pavings
-            if best and best[0].margin_nats > CERTAIN_NATS:
+            if _certain(best):
                 break
         if not best or best[0].margin_nats <= 0:
-            return _find_rows(looks, segments, size, ranked, best)
-    other = rival(best)
+            return _find_rows(looks, segments, sight.size, ranked, best)
+    return _unrivalled(best)
+
+
+def _certain(pavings: tuple[Paving, ...]) -> bool:
+    return bool(pavings) and pavings[0].margin_nats > CERTAIN_NATS
+
+
+def _unrivalled(pavings: tuple[Paving, ...]) -> Paving:
+    """The best of some pavings.
+
+    Raises:
+        Refusal: another one explains the picture as well.
+    """
+    other = rival(pavings)
     if other is not None:
-        raise ambiguous(best[0], other)
-    return best[0]
+        raise ambiguous(pavings[0], other)
+    return pavings[0]
 
 
-def other_camera(looks: Looks, segments: Segments, size: tuple[int, int], camera: Camera) -> Refusal | None:
+def other_camera(sight: Sight, camera: Camera) -> Refusal | None:
     """Why a camera is to blame where it shows no lattice: the joints clearly fit another one."""
-    free, hypotheses = _hypotheses(segments, size, None)
-    other = _at_a_glance(looks, hypotheses, free)
+    free, hypotheses = _hypotheses(sight.segments, sight.size, None)
+    other = _at_a_glance(sight.looks, hypotheses, free)
     if other is None or other.margin_nats < CERTAIN_NATS:
         return None
     return camera_contradicted(camera, other.fit.camera.scaled(camera.width, camera.height).fx)

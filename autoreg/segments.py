@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import reduce
 from typing import NamedTuple, cast
@@ -65,11 +65,40 @@ def detect_segments(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
     levels that are reduced here, because its built-in reduction (scale 0.8) forgets the half pixel between
     pixel centres and corners and so moves every segment by (-0.12, -0.12) px.
     """
+    return begin_detection(gray, options=options).all
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Segments of a picture's coarser levels, while those of the finest one are still being looked for."""
+
+    coarse: Segments
+    begun: Future[Segments]
+
+    @property
+    def all(self) -> Segments:
+        """Those of all levels, without duplicates; waits for them."""
+        return self.begun.result()
+
+
+def begin_detection(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions | None = None) -> Detection:
+    """Like `detect_segments`, but whoever can do with less need not wait for the finest level.
+
+    It takes longer than all others together, and LSD lets other threads run.
+    """
     options = options or SegmentOptions()
-    # LSD lets other threads run, and the finest level takes longer than all others together.
-    with ThreadPoolExecutor(2) as pool:
-        levels = list(pool.map(lambda level: _detect_on_level(level, options), _levels(gray, options)))
-    found = reduce(_merge, levels)
+    finest, *coarser = _levels(gray, options)
+    pool = ThreadPoolExecutor(1)
+    fine = pool.submit(_detect_on_level, finest, options)
+    coarse = [_detect_on_level(level, options) for level in coarser]
+    begun = pool.submit(lambda: _joined([fine.result(), *coarse], options))
+    pool.shutdown(wait=False)
+    return Detection(_joined(coarse, options), begun)
+
+
+def _joined(levels: list[Segments], options: SegmentOptions) -> Segments:
+    """The segments of some levels, the finest first, as one set."""
+    found = reduce(_merge, levels, _empty())
     order = np.argsort(-found.length_px, kind="stable")[: options.max_segments]
     return found.take(order)
 

@@ -9,7 +9,7 @@ from jaxtyping import Float32, UInt8
 
 from autoreg.image import pyramid
 from autoreg.rectify import Gradient, picture_gradient
-from autoreg.segments import Segments, detect_segments
+from autoreg.segments import Detection, Segments, begin_detection
 
 # Joints are found at this size, and measured at the photo's own.
 DETECTION_PIXELS = 600_000
@@ -44,12 +44,23 @@ class Sight:
 
     gray: UInt8[np.ndarray, "h w"]
     looks: Looks
-    segments: Segments
+    detection: Detection
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The photo's width and height."""
+        return self.gray.shape[1], self.gray.shape[0]
+
+    @property
+    def segments(self) -> Segments:
+        """The segments of all levels, as soon as they are there."""
+        return self.detection.all
 
 
 def see(gray: UInt8[np.ndarray, "h w"]) -> Sight:
     """What is to be seen in a photo."""
-    return Sight(gray, looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detect_segments(gray))
+    detection = begin_detection(gray)
+    return Sight(gray, looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detection)
 
 
 def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csc_matrix
@@ -12,15 +14,15 @@ from autoreg.joint_pixels import JOINT, TONES, JointPixels
 DOUBTFUL = 2.0
 
 
-class Blocks:
-    """The tones' normal equations, block by block, for the shares of tones in every pixel and its weight."""
+class Shares:
+    """The shares of tones in some pixels, times the pixels' weights, block by block."""
 
     def __init__(self, pixels: JointPixels, share: np.ndarray, weight: np.ndarray) -> None:
         n, m = share.shape
         self.count = pixels.blocks
         told = share > 1e-6
         place = (pixels.block * m)[:, None] + np.arange(m)
-        ends = np.r_[0, np.cumsum(told.sum(1))]
+        ends = np.r_[0, np.cumsum(np.count_nonzero(told, axis=1))]
         entries = (share * weight[:, None])[told], place[told], ends
         self.gather = csc_matrix(entries, shape=(self.count * m, n))
         self.normal = self.sums(share)
@@ -28,6 +30,13 @@ class Blocks:
     def sums(self, columns: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m t c"]:
         """Weighted products of every block's shares with some columns."""
         return (self.gather @ columns).reshape(self.count, TONES, -1)
+
+
+class Blocks:
+    """The tones' normal equations, block by block, of all pixels."""
+
+    def __init__(self, parts: Iterable[Shares]) -> None:
+        self.normal: np.ndarray = np.sum([part.normal for part in parts], 0)
 
     def solve(
         self, sums: Float[np.ndarray, "m t c"], ridge: float | np.ndarray

@@ -11,7 +11,7 @@ from autoreg.camera import Camera
 from autoreg.freedom import Free
 from autoreg.full_resolution import FIRST_SEARCH, REACH
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
-from autoreg.last_step import rested
+from autoreg.last_step import likeliest, rested
 from autoreg.refine import Fit, refine_until_still
 from autoreg.stations import Grid, project_ground
 from autoreg.synthetic import SyntheticScene
@@ -38,7 +38,7 @@ def finish(
     fit = refine_until_still(picture, camera, start, grid, free=Free(), search=search, reach=REACH)
     if fit is None:
         return None
-    last = rested(picture, fit, REACH)
+    last = rested(picture, likeliest(fit), REACH)
     return Finish(last.fit.cam_from_ground, last.covariance, fit)
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 SLAB_M = (0.4, 0.4)
 # Steps of `autoreg.align`, as far as they are there under these names.
-STAGES = ("see", "find_paving", "measure", "_concluded")
+STAGES = ("see", "find_paving", "measured_slabs", "_concluded")
 
 
 def floor(photo: str) -> dict[str, Any]:

@@ -18,9 +18,10 @@ from autoreg.freedom import Free
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.joint_image import JointImage, Shape, with_looks
 from autoreg.joint_pixels import JOINT, R2, SHOULDER_BLURS, TONES, JointPixels, joint_pixels, thinned
-from autoreg.last_step import rested
+from autoreg.last_step import likeliest, rested
 from autoreg.measured_joints import without_washed_out
 from autoreg.photometric import on_grey_levels
+from autoreg.photometric_step import first_state, stepped, told_by_cells
 from autoreg.refine import Fit, refine_until_still
 from autoreg.stations import Grid, project_ground, visible_sides
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground
@@ -101,7 +102,7 @@ def fitted(scene: SyntheticScene, seed: int, free: Free = Free()) -> Fit:  # noq
 
 @remembered
 def answered(scene: SyntheticScene, seed: int) -> Settled:
-    return rested(photo_of(scene, seed), fitted(scene, seed), REACH)
+    return rested(photo_of(scene, seed), likeliest(fitted(scene, seed)), REACH)
 
 
 def error_of(scene: SyntheticScene, pose: Rigid) -> np.ndarray:
@@ -183,6 +184,27 @@ def test_slopes_are_finite_differences(scene: SyntheticScene) -> None:
         assert np.linalg.norm(slopes.by_looks[:, k] - numeric) < 0.02 * np.linalg.norm(numeric)
 
 
+def test_pixels_drawn_in_parts_take_the_step_of_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    picture, fit = photo_of(PLAIN, 1), fitted(PLAIN, 1)
+    pixels = pixels_of(PLAIN, picture)
+    whole = stepped(pixels, first_state(pixels, shape_of(PLAIN), fit))
+    parts = pixels.parts(len(pixels) // 5)
+    assert sum(len(part) for part in parts) == len(pixels)
+    assert np.array_equal(np.concatenate([part.cell for part in parts]), pixels.cell)
+    assert np.array_equal(np.sum([part.counts for part in parts], 0), pixels.counts)
+    monkeypatch.setattr("autoreg.photometric_step.MOST_AT_ONCE", len(pixels) // 5)
+    pieces = stepped(pixels, first_state(pixels, shape_of(PLAIN), fit))
+    assert whole is not None
+    assert pieces is not None
+    assert len(pieces.parts) == 5
+    assert len(whole.parts) == 1
+    assert pieces.sigmas == pytest.approx(whole.sigmas, rel=1e-6)
+    assert pieces.state.shape.pose.t == pytest.approx(whole.state.shape.pose.t, abs=1e-9)
+    unknowns = whole.free
+    for one, other in zip(told_by_cells(pieces, unknowns), told_by_cells(whole, unknowns), strict=True):
+        assert np.allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
+
+
 def test_pixels_are_those_near_joints_and_thinned_evenly() -> None:
     pixels, shape = pixels_of(PLAIN, clean(PLAIN)), shape_of(PLAIN)
     image = JointImage(pixels, shape)
@@ -261,7 +283,7 @@ def test_a_thing_on_the_paving_does_no_harm() -> None:
         picture, PLAIN.camera, PLAIN.cam_from_ground, grid_of(PLAIN), free=Free(), search=0.04, reach=REACH
     )
     assert fit is not None
-    found = rested(picture, fit, REACH)
+    found = rested(picture, likeliest(fit), REACH)
     error = error_of(PLAIN, found.fit.cam_from_ground)
     assert error @ np.linalg.solve(found.covariance, error) < 22.5
     assert crossings_off_px(PLAIN, found.fit.cam_from_ground) < 0.02
@@ -311,7 +333,7 @@ def error_in_sigmas(scene: SyntheticScene, picture: np.ndarray, camera: Camera) 
         picture, camera, scene.cam_from_ground, grid_of(scene), free=Free(), search=0.04, reach=REACH
     )
     assert fit is not None
-    found = rested(picture, fit, REACH)
+    found = rested(picture, likeliest(fit), REACH)
     error = error_of(scene, found.fit.cam_from_ground)
     off_px = crossings_off_px(scene, found.fit.cam_from_ground)
     return float(error @ np.linalg.solve(found.covariance, error)), off_px
@@ -354,9 +376,9 @@ def test_an_enlarged_picture_claims_no_more_than_it_knows() -> None:
 def test_measured_places_stay_where_few_of_the_pixels_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     fit, picture = fitted(PLAIN, 0), photo_of(PLAIN, 0)
     monkeypatch.setattr(photometric, "MOST_PIXELS", 1500)
-    few = rested(picture, fit, REACH)
+    few = rested(picture, likeliest(fit), REACH)
     monkeypatch.undo()
-    many = rested(picture, fit, REACH)
+    many = rested(picture, likeliest(fit), REACH)
     places = settle(fit)
     assert np.array_equal(few.fit.cam_from_ground.R, places.fit.cam_from_ground.R)
     assert not np.array_equal(many.fit.cam_from_ground.R, places.fit.cam_from_ground.R)

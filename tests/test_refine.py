@@ -11,7 +11,7 @@ from autoreg.geometry import angle_between_rotations
 from autoreg.joint_data import PARAMETERS
 from autoreg.refine import Fit, refine, refine_until_still
 from autoreg.solver import Solution
-from autoreg.stations import ALONG_X, ALONG_Y, Grid
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
 from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
 
 NOTHING = Solution("converged", np.zeros(PARAMETERS), 0.0, np.zeros(3), np.zeros((3, PARAMETERS)), 1)
@@ -50,6 +50,28 @@ def test_the_start_does_not_matter_within_the_search(stack_photo: SyntheticPhoto
     assert fit is not None
     turned = angle_between_rotations(fit.cam_from_ground.R, stack_fit.cam_from_ground.R)
     assert np.rad2deg(turned) < 0.005
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_what_a_narrow_search_finds_moves_little_when_it_is_measured_again(
+    stack_photo: SyntheticPhoto, stack_fit: Fit, seed: int
+):
+    picture, start = gray_of(stack_photo), nudged(stack_photo.cam_from_ground, 0.05, 0.002, seed)
+    # Looks that the picture at detection scale may have told.
+    width = (0.8 * stack_fit.strip.width[0], 1.2 * stack_fit.strip.width[1])
+    strip, grid = replace(stack_fit.strip, width=width), stack_fit.grid
+    found = refine(picture, CAMERA, start, grid, free=Free(), search=0.04, reaches=(9.0,), strip=strip)
+    assert found is not None
+    again = refine(
+        picture, CAMERA, found.cam_from_ground, grid,
+        free=Free(), search=0.0, reaches=(9.0,), strip=found.strip,
+    )  # fmt: skip
+    assert again is not None
+    before, after = (
+        project_ground(CAMERA, fit.cam_from_ground, again.stations.ground) for fit in (found, again)
+    )
+    across = ((after - before) * again.profiles.normal).sum(1)
+    assert np.sqrt(np.mean(across**2)) < 0.0015
 
 
 def test_dark_joints_are_told_from_light_ones_and_from_none(

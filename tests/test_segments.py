@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autoreg.segments import SegmentOptions, Segments, detect_segments
+from autoreg.segments import SegmentOptions, Segments, begin_detection, detect_segments
 
 SIZE = 400
 
@@ -84,6 +84,15 @@ def test_a_soft_edge_is_found_by_a_coarser_level():
     picture, _ = dark_bar(0.4, 0.0, 60.0, dark=150.0, bright=180.0, blur=4.0, noise=3.0)
     fine_only = detect_segments(picture, options=SegmentOptions(levels=1))
     assert long_ones(detect_segments(picture)).length_px.sum() > 2 * fine_only.length_px.sum() + 400
+
+
+def test_coarser_segments_are_there_before_those_of_all_levels():
+    picture, _ = dark_bar(0.4, 0.0, 60.0)
+    detection = begin_detection(picture)
+    assert set(detection.coarse.level.tolist()) == {1}
+    everything = detect_segments(picture)
+    assert np.array_equal(detection.all.ends_px, everything.ends_px)
+    assert 0 in everything.level
 
 
 def test_the_stated_noise_of_the_ends_is_that_of_the_edges():

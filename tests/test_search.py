@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from concurrent.futures import Future
+
+import numpy as np
+import pytest
+
+from autoreg.lattice_choice import Paving
+from autoreg.search import find_paving
+from autoreg.segments import Detection, Segments
+from autoreg.sight import Sight, see
+from autoreg.synthetic import SyntheticPhoto
+
+NONE = Segments(np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, int))
+
+
+class Waited(Exception):
+    """Somebody has waited for the finest segments."""
+
+
+def sight_of(photo: SyntheticPhoto) -> Sight:
+    return see(photo.pixels.mean(-1).astype(np.uint8))
+
+
+def with_detection(sight: Sight, coarse: Segments, finest: Segments | Waited) -> Sight:
+    begun: Future[Segments] = Future()
+    if isinstance(finest, Waited):
+        begun.set_exception(finest)
+    else:
+        begun.set_result(finest)
+    return Sight(sight.gray, sight.looks, Detection(coarse, begun))
+
+
+def sides_in_heights(paving: Paving) -> list[float]:
+    height = paving.fit.cam_from_ground.origin_in_a[2]
+    return sorted(side / height for side in (paving.grid.spacing_x or 0.0, paving.grid.spacing_y))
+
+
+def test_what_is_plain_to_see_by_a_known_camera_does_not_wait_for_the_finest_segments(
+    stack_photo: SyntheticPhoto,
+):
+    sight = sight_of(stack_photo)
+    hasty = with_detection(sight, sight.detection.coarse, Waited())
+    # All segments, in the place of the coarse ones, are the way without haste.
+    slow = with_detection(sight, sight.segments, Waited())
+    found, expected = (find_paving(seen, stack_photo.camera) for seen in (hasty, slow))
+    assert isinstance(found, Paving)
+    assert isinstance(expected, Paving)
+    assert sides_in_heights(found) == pytest.approx(sides_in_heights(expected), rel=1e-3)
+    assert found.grid.shift == expected.grid.shift
+
+
+def test_what_coarse_segments_do_not_show_is_looked_for_in_all(stack_photo: SyntheticPhoto):
+    sight = sight_of(stack_photo)
+    found = find_paving(with_detection(sight, NONE, sight.segments), stack_photo.camera)
+    assert isinstance(found, Paving)
+    assert found.margin_nats > 0
+
+
+def test_an_unknown_focal_length_is_told_by_all_segments(stack_photo: SyntheticPhoto):
+    sight = sight_of(stack_photo)
+    with pytest.raises(Waited):
+        find_paving(with_detection(sight, sight.detection.coarse, Waited()), None)
