@@ -188,6 +188,18 @@ METRICS: tuple[Metric, ...] = (
         gated="full",
     ),
     Metric("speed.align_s", "align in process, 2 MP", "s", gated="never"),
+    # scenes
+    Metric("scenes.right", "ray-traced pavings that are right", "%", "higher", 95.0, absolute=2.0),
+    Metric("scenes.wrong", "scenes aligned wrongly, without a word", "%", goal=0.0, absolute=0.5),
+    Metric(
+        "scenes.refused", "grounds without a lattice that are refused", "%", "higher", 100.0, absolute=0.0
+    ),
+    Metric("scenes.turn", "error of the rotation, median", "deg", goal=0.02, relative=0.2),
+    Metric("scenes.crossings", "error of the crossings, median", "px", goal=0.3, relative=0.2),
+    Metric(
+        "scenes.pose", "95 % regions of the pose that hold the truth", "%", "inside", (93.0, 97.0), 0.0, 3.0
+    ),
+    Metric("scenes.rotation", "... of the rotation alone", "%", "inside", (93.0, 97.0), 0.0, 3.0),
     # real
     Metric("real.wrong", "photos aligned as what they are known not to be", "", goal=0.0, relative=0.0),
     Metric("real.aligned", "paved photos aligned as expected", "", "higher", relative=0.0),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 # The folders of data that a checkout alone does not have; each is an option.
-DATA = ("yorkurban", "photos")
+DATA = ("yorkurban", "photos", "scenes")
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,7 @@ class Options:
         seeds: so many seeds where a suite draws noise, instead of its own number.
         yorkurban: folder of the York Urban pictures and `ground_truth.json`.
         photos: folder of real photos, with `paved/` and `refuse/`.
+        scenes: folder of ray-traced scenes, as `benchmarks/scenes.py` writes them.
     """
 
     out: Path
@@ -27,6 +28,7 @@ class Options:
     seeds: int | None = None
     yorkurban: Path = SHARED / "yorkurban"
     photos: Path = SHARED / "photos"
+    scenes: Path = SHARED / "scenes"
 
     def count(self, quick: int, full: int) -> int:
         """How many seeds to draw."""

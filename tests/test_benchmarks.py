@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from autoreg.alignment import Alignment, CameraReport, Pose, Residual
+from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
 from autoreg.stations import project_ground
@@ -31,7 +33,7 @@ from benchmarks.plots import draw_all
 from benchmarks.processes import run_timed
 from benchmarks.report import markdown, print_report
 from benchmarks.result import Plot, Result, Series, Table, read_results, to_json
-from benchmarks.suites import NAMES, NOT_QUICK, UnknownSuite, chosen, real, robust, speed, vanishing
+from benchmarks.suites import NAMES, NOT_QUICK, UnknownSuite, chosen, real, robust, scenes, speed, vanishing
 from benchmarks.suites.limit import scene as limit_scene
 from benchmarks.suites.robust import within
 from benchmarks.suites.thesis import minutes_by_hand
@@ -475,9 +477,68 @@ def test_directions_are_matched_whatever_their_order_and_signs():
 
 
 def test_a_missing_database_is_skipped_with_a_word(tmp_path: Path):
-    options = Options(tmp_path, yorkurban=tmp_path / "none", photos=tmp_path / "none")
+    options = Options(
+        tmp_path, yorkurban=tmp_path / "none", photos=tmp_path / "none", scenes=tmp_path / "none"
+    )
     assert "--yorkurban" in (vanishing.run(options).skipped or "")
     assert "--photos" in (real.run(options).skipped or "")
+    assert "--scenes" in (scenes.run(options).skipped or "")
+
+
+@pytest.mark.parametrize(
+    ("quarters", "shift"), [(0, 0.0), (1, 0.0), (3, 0.0), (0, 0.25), (2, 0.25), (2, 0.5)]
+)
+def test_a_true_scene_is_seen_from_the_frame_that_was_found(quarters: int, shift: float):
+    scene = SyntheticScene(spacing_m=(0.6, 0.3), shift=shift, colour=False)
+    true = scene.cam_from_ground
+    angle = 0.5 * np.pi * quarters
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+    # Two rows further, each moved by its shift; a frame turned by half has the rows below its lines.
+    rows = 2 if quarters % 2 == 0 else 0
+    along = 0.6 * (3 + (rows - (quarters == 2)) * shift)
+    same = Rigid(true.R @ turn, true.t + true.R @ np.array([along, 0.3 * rows, 0.0]))
+    spacing = (0.6, 0.3) if quarters % 2 == 0 else (0.3, 0.6)
+    seen = scenes.seen_from(alignment(same, spacing), truth_of(scene))
+    assert pose_error(seen.cam_from_ground, same) == pytest.approx(np.zeros(6), abs=1e-12)
+    assert seen.spacing_m == spacing
+    # From both frames the picture is the same.
+    plain = [
+        replace(scene, cam_from_ground=pose, spacing_m=sides, texture=0.0, tone_spread=0.0)
+        for pose, sides in ((true, scene.spacing_m), (seen.cam_from_ground, seen.spacing_m))
+    ]
+    one, other = (clean_grey(drawn) for drawn in plain)
+    assert np.abs(one - other).max() < 1e-6
+
+
+def truth_of(scene: SyntheticScene) -> dict[str, Any]:
+    """What is so, in the form of NAME.truth.json."""
+    camera, pose = scene.camera, scene.cam_from_ground
+    return {
+        "name": "one", "lattice": scene.kind == "lattice", "size": [camera.width, camera.height],
+        "K": camera.K.tolist(), "dist": list(camera.dist[:5]), "R": pose.R.tolist(), "t": pose.t.tolist(),
+        "slab": list(scene.spacing_m), "bond": scene.shift, "tell_slab": True, "tell_camera": True,
+        "wrong_k": False,
+    }  # fmt: skip
+
+
+def test_scenes_are_read_aligned_and_judged(tmp_path: Path):
+    paving = SyntheticScene(
+        camera=Camera.from_focal(480, 360, 420.0), spacing_m=(0.5, 0.5), colour=False, seed=1
+    )
+    told = replace(paving, camera=Camera.from_focal(480, 360, 420.0))
+    for name, scene in (("one", paving), ("gravel", replace(paving, kind="gravel"))):
+        camera = {key: getattr(told.camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
+        cv2.imwrite(str(tmp_path / f"{name}.jpg"), render_paving(scene).pixels)
+        (tmp_path / f"{name}.camera.json").write_text(json.dumps({**camera, "dist": []}))
+        (tmp_path / f"{name}.truth.json").write_text(json.dumps(truth_of(scene)))
+    figures = {f.key: f.value for f in scenes.run(Options(tmp_path, scenes=tmp_path)).figures}
+    assert (figures["scenes.right"], figures["scenes.wrong"], figures["scenes.refused"]) == (100, 0, 100)
+    assert figures["scenes.turn"] < 0.02
+    # With the truth a slab's tenth away the same answer is wrong.
+    off = truth_of(paving)
+    off["t"] = (np.array(off["t"]) + np.array(off["R"]) @ [0.05, 0.0, 0.0]).tolist()
+    (tmp_path / "one.truth.json").write_text(json.dumps(off))
+    assert scenes.examine(tmp_path / "one.truth.json").became != "right"
 
 
 def test_a_pose_is_right_up_to_quarter_turns_and_whole_slabs():
