@@ -13,7 +13,7 @@ from autoreg.full_resolution import FIRST_SEARCH, REACH
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.last_step import likeliest, rested
 from autoreg.refine import Fit, refine_until_still
-from autoreg.stations import Grid, project_ground
+from autoreg.stations import Grid, on_ground, project_ground
 from autoreg.synthetic import SyntheticScene
 
 
@@ -84,6 +84,9 @@ def crossings_of(
     size = np.array([scene.camera.width, scene.camera.height]) - 1
     with np.errstate(invalid="ignore"):
         seen = ((px >= margin_px) & (px <= size - margin_px)).all(1)
+        # Beyond its valid field a lens's model folds back into the picture.
+        back = on_ground(px, scene.camera, scene.cam_from_ground)
+        seen &= np.linalg.norm(back - ground, axis=1) < 1e-3 * min(a, b)
     return ground[seen & (np.linalg.norm(ground - eye[:2], axis=1) <= reach)]
 
 

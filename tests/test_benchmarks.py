@@ -19,7 +19,7 @@ from autoreg.alignment import Alignment, CameraReport, Pose, Residual
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
-from autoreg.stations import project_ground
+from autoreg.stations import on_ground, project_ground
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground, render_paving
 from benchmarks import __main__ as command
 from benchmarks import metrics
@@ -606,3 +606,12 @@ def test_a_photo_in_strips_is_the_photo_in_one(tmp_path: Path, monkeypatch: pyte
     at_once = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE)
     assert np.abs(drawn.astype(float) - at_once).mean() < 0.2
     assert json.loads((tmp_path / "camera.json").read_text())["width"] == SMALL.camera.width
+
+
+def test_crossings_that_a_lens_folds_back_into_the_picture_are_none():
+    camera = replace(Camera.from_focal(640, 480, 500.0), dist=(-0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    scene = SyntheticScene(camera=camera, spacing_m=(0.3, 0.3))
+    ground = crossings_of(scene, margin_px=0.0)
+    back = on_ground(project_ground(camera, scene.cam_from_ground, ground), camera, scene.cam_from_ground)
+    assert len(ground) > 20
+    assert np.abs(back - ground).max() < 1e-6
