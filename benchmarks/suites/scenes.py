@@ -62,8 +62,8 @@ def run(options: Options) -> Result:
         "scenes",
         about=(
             f"{paved} ray-traced pavings and {len(found) - paved} other grounds, as `benchmarks/scenes.py` "
-            "makes them, through the whole `align`. Right is within 0.5°, 2 % of a side at the crossings and 2 % "
-            f"of the height, up to the lattice's symmetry (without a camera {UNTOLD_TURN_DEG:g}° and "
+            "makes them, through the whole `align`. Right is within 0.5°, 2 % of a side at the crossings and "
+            f"2 % of the height, up to the lattice's symmetry (without a camera {UNTOLD_TURN_DEG:g}° and "
             f"{100 * UNTOLD_HEIGHT:g} % of the height), and a wrong camera that is called wrong. Errors are "
             "normalised by the stated covariance; the medians should be 2.4 (rotation) and 5.3 (pose)."
         ),
