@@ -290,7 +290,7 @@ def test_the_documentation_takes_the_full_run_where_there_is_one_and_says_which(
     text = markdown(results, judged, PLACE)
     assert "- Ran in full: limit." in text
     assert "- Ran with `--quick`, few seeds and small pictures: truth." in text
-    assert "- Not run: refine, robust, vanishing, thesis, speed, real." in text
+    assert "- Not run: refine, robust, vanishing, thesis, speed, scenes, real." in text
 
 
 def test_a_command_repeats_the_options_that_matter(tmp_path: Path):
