@@ -13,7 +13,7 @@ from autoreg.freedom import Free
 from autoreg.last_step import likeliest
 from autoreg.lattice_choice import Paving, presented
 from autoreg.presence import presence_of
-from autoreg.refine import FROM_THE_FEET, WIDE_SEARCH, Fit, refine, refine_until_still
+from autoreg.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, Fit, refine, refine_until_still
 from autoreg.refusals import arcs, focal_untold, no_lattice
 from autoreg.right_angles import Squared, square_up
 from autoreg.rows import STEP_SIGMA, Rows, common_sag
@@ -27,8 +27,8 @@ from autoreg.uncertainty import Settled
 MOST_FOCAL_SIGMA = 0.05
 # How far joints are measured, in camera heights.
 REACH = 12.0
-# Half width of the first search, in slab sides; and how often a shift may be corrected.
-FIRST_SEARCH, MOST_SHIFTS = 0.04, 3
+# How often a shift may be corrected.
+MOST_SHIFTS = 3
 # Where more joints than this are missed they are looked for farther off, from the camera's feet outwards.
 MOST_MISSED = 0.3
 
@@ -117,7 +117,7 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     def measured(grid: Grid, near: Fit) -> Fit:
         fit = refine_until_still(
             picture, near.camera.scaled(width, height), near.cam_from_ground, grid,
-            free=free, search=FIRST_SEARCH, reach=REACH, strip=replace(near.strip, polarity_known=True),
+            free=free, search=NARROW, reach=REACH, strip=replace(near.strip, polarity_known=True),
             field=field,
         )  # fmt: skip
         if fit is None:

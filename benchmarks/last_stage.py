@@ -9,10 +9,10 @@ from jaxtyping import Float
 
 from autoreg.camera import Camera
 from autoreg.freedom import Free
-from autoreg.full_resolution import FIRST_SEARCH, REACH
+from autoreg.full_resolution import REACH
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.last_step import likeliest, rested
-from autoreg.refine import Fit, refine_until_still
+from autoreg.refine import NARROW, Fit, refine_until_still
 from autoreg.stations import Grid, on_ground, project_ground
 from autoreg.synthetic import SyntheticScene
 
@@ -32,7 +32,7 @@ def finish(
     start: Rigid,
     grid: Grid,
     *,
-    search: float = FIRST_SEARCH,
+    search: float = NARROW,
 ) -> Finish | None:
     """The answer from a start near the truth; None if nothing can be measured there."""
     fit = refine_until_still(picture, camera, start, grid, free=Free(), search=search, reach=REACH)

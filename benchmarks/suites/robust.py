@@ -14,7 +14,9 @@ from autoreg.alignment import Alignment
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid, angle_between_rotations
+from autoreg.ground_frame import turned
 from autoreg.image import as_gray
+from autoreg.stations import on_ground, project_ground
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from benchmarks.last_stage import crossings_of
 from benchmarks.metrics import Figure
@@ -157,9 +159,7 @@ def within(found: Alignment, scene: SyntheticScene) -> bool:
     # The pixels in which the true crossings are seen, on the found ground as the told camera has it, and the
     # found crossings nearest to them.
     points = crossings_of(scene, heights=4.0)
-    px = scene.camera.project(np.c_[points, np.zeros(len(points))] @ true.R.T + true.t)
-    rays, eye = found.camera.camera.unproject(px) @ pose.R, pose.origin_in_a
-    ground = eye[:2] - rays[:, :2] * (eye[2] / rays[:, 2:])
+    ground = on_ground(project_ground(scene.camera, true, points), found.camera.camera, pose)
     row = np.round(ground[:, 1] / b)
     moved = row * (found.lattice.shift or 0.0)
     near = np.stack([(np.round(ground[:, 0] / a - moved) + moved) * a, row * b], 1)
@@ -169,10 +169,7 @@ def within(found: Alignment, scene: SyntheticScene) -> bool:
 
 def angle_up_to_quarter_turns(found: Rigid, true: Rigid) -> float:
     """Least angle in degrees between rotations, over quarter turns of the ground."""
-    turns = [
-        np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))
-    ]
-    return float(np.rad2deg(min(angle_between_rotations(found.R @ turn, true.R) for turn in turns)))
+    return float(np.rad2deg(min(angle_between_rotations(turned(found, q).R, true.R) for q in range(4))))
 
 
 def run(options: Options) -> Result:

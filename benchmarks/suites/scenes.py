@@ -17,6 +17,7 @@ from autoreg.camera import Camera
 from autoreg.camera_files import read_camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid, angle_between_rotations
+from autoreg.ground_frame import turned, with_origin
 from autoreg.image import load_photo
 from autoreg.synthetic import SyntheticScene
 from benchmarks.last_stage import crossings_error_px, crossings_of, pose_error
@@ -26,7 +27,7 @@ from benchmarks.result import Result, Table
 from benchmarks.suites.robust import TURN_DEG, angle_up_to_quarter_turns, within
 from benchmarks.suites.truth import covered
 
-Became = Literal["right", "rows only", "refused", "wrong"]
+Became = Literal["right", "rows only", "refused", "told", "wrong"]
 # Without a camera, what counts as right: degrees, and share of the height.
 UNTOLD_TURN_DEG, UNTOLD_HEIGHT = 3.0, 0.1
 QUICK_SCENES = 2
@@ -125,7 +126,7 @@ def examine(path: Path) -> Outcome:
         name,
         kind,
         paved,
-        "right" if within(found, scene) else "wrong" if found.camera.consistent else "refused",
+        "right" if within(found, scene) else "told" if found.camera.consistent is False else "wrong",
         turn,
         crossings_error_px(pose, scene, crossings_of(scene, heights=4.0)),
         height,
@@ -160,19 +161,15 @@ def seen_from(found: Alignment, truth: dict[str, Any]) -> SyntheticScene:
     camera = Camera(width, height, fx, fy, cx, cy, tuple(truth["dist"]))
     true = Rigid(np.array(truth["R"]), np.array(truth["t"]))
     pose = found.pose.cam_from_ground
-    turns = [
-        np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))
-    ]
-    quarters = min(range(4), key=lambda q: angle_between_rotations(pose.R, true.R @ turns[q]))
-    turned = true.R @ turns[quarters]
+    quarters = min(range(4), key=lambda q: angle_between_rotations(pose.R, turned(true, q).R))
+    own = turned(true, quarters)
     a, b = truth["slab"] if quarters % 2 == 0 else truth["slab"][::-1]
     shift = float(truth["bond"])
-    x, y, _ = turned.T @ (pose.t - true.t)
+    x, y, _ = own.R.T @ (pose.t - own.t)
     row = round(float(y / b))
     # The rows of a frame turned by half lie on the other side of their lines: they are one shift further.
     moved = (row + (quarters == 2)) * shift
-    origin = np.array([(round(float(x / a) - moved) + moved) * a, row * b, 0.0])
-    nearest = Rigid(turned, true.t + turned @ origin)
+    nearest = with_origin(own, (round(float(x / a) - moved) + moved) * a, row * b)
     return SyntheticScene(camera=camera, cam_from_ground=nearest, spacing_m=(a, b), shift=shift, colour=False)
 
 
