@@ -23,6 +23,8 @@ MOST_LOOKS_STEP = 0.3
 ROBUST_SIGMAS = 3.0
 # A cell whose mean square residual is so many times the rest's shows something else.
 FOREIGN = 4.0
+# What the first tones are held to their common means by, in pixels.
+FIRST_RIDGE = 0.02
 # Grey levels that even a drawn picture is off by.
 LEAST_NOISE = 0.05
 # Unknowns besides the tones of blocks: seven of the pose, three looks, the mean tones of slabs and of joints;
@@ -93,8 +95,9 @@ def first_state(pixels: JointPixels, shape: Shape, fit: Fit) -> State:
     shares = Shares(pixels, share, weight)
     middle = np.r_[[means[0]] * JOINT, means[1]]
     away = shares.sums((pixels.grey - share @ middle)[:, None])
-    tones = middle + Blocks([shares]).solve(away, 0.02)[..., 0]
-    noise = _scatter(_without_tones(pixels, share, tones), weight)
+    blocks = Blocks([shares])
+    tones = middle + blocks.solve(away, FIRST_RIDGE)[..., 0]
+    noise = _scatter(_without_tones(pixels, share, tones), weight, blocks.freedom(FIRST_RIDGE))
     return State(shape, fit, tones, noise, weight)
 
 
@@ -130,7 +133,7 @@ def stepped(pixels: JointPixels, state: State) -> Step | None:
     tones = off + means
     left = side_by_side(lambda part: _left(part, tones, step), parts)
     all_left = np.concatenate(left)
-    noise = _scatter(all_left, weight)
+    noise = _scatter(all_left, weight, blocks.freedom(ridge))
     moved = replace(state, shape=moved_shape(state.shape, step), tones=tones, noise=noise)
     # Of the means, a step has no size: they are found anew each time.
     motion = np.where(free < MEANS.start, step[free], 0.0)
@@ -241,10 +244,13 @@ def moved_shape(shape: Shape, step: Float[np.ndarray, " p"]) -> Shape:
     return replace(with_looks(shape, step[LOOKS]), pose=pose, grid=grid)
 
 
-def _scatter(left: np.ndarray, weight: np.ndarray) -> float:
-    """Standard deviation of the residuals that count, by their median."""
+def _scatter(left: np.ndarray, weight: np.ndarray, fitted: float) -> float:
+    """Standard deviation of the noise, by the median of the residuals that count and the values `fitted`."""
     counted = np.abs(left[weight > 0])
-    return max(1.4826 * float(np.median(counted)), LEAST_NOISE) if len(counted) else LEAST_NOISE
+    if len(counted) <= fitted:
+        return LEAST_NOISE
+    spared = np.sqrt(len(counted) / (len(counted) - fitted))
+    return max(1.4826 * float(np.median(counted) * spared), LEAST_NOISE)
 
 
 def _robust(left: np.ndarray, noise: float, cell: np.ndarray) -> Float[np.ndarray, " n"]:

@@ -42,7 +42,14 @@ class Blocks:
         self, sums: Float[np.ndarray, "m t c"], ridge: float | np.ndarray
     ) -> Float[np.ndarray, "m t c"]:
         """Tones by least squares, with what is known of them beforehand as a ridge."""
-        return np.linalg.solve(self.normal + np.diag(np.broadcast_to(ridge, TONES) + 1e-6), sums)
+        return np.linalg.solve(self._known(ridge), sums)
+
+    def freedom(self, ridge: float | np.ndarray) -> float:
+        """How many values the tones are fitted to: that of free tones, less what is known beforehand."""
+        return float(np.trace(np.linalg.solve(self._known(ridge), self.normal), axis1=1, axis2=2).sum())
+
+    def _known(self, ridge: float | np.ndarray) -> Float[np.ndarray, "m t t"]:
+        return self.normal + np.diag(np.broadcast_to(ridge, TONES) + 1e-6)
 
 
 def tone_variances(blocks: Blocks, tones: np.ndarray, noise: float) -> Float[np.ndarray, "2"]:
