@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import cast
 
 import cv2
 import numpy as np
@@ -152,7 +153,7 @@ def joint_pixels(
 
     `width` is that of joints along X and along Y on the ground. The lattice must have both.
     """
-    at = thinned(_near_joints(picture.shape, camera, pose, sides, width, blur_px), most)
+    at = _near_joints(picture.shape, camera, pose, sides, width, blur_px, most)
     rays = camera.unproject(at.astype(float))
     seen = np.isfinite(rays).all(1)
     at, rays = at[seen], rays[seen]
@@ -168,8 +169,35 @@ def _near_joints(
     sides: Sides,
     width: tuple[float, float],
     blur_px: float,
-) -> UInt8[np.ndarray, "h w"]:
-    """One for pixels in reach of the sides: bands, drawn piece by piece since a lens bends them."""
+    most: int,
+) -> Int[np.ndarray, "n 2"]:
+    """At most about so many pixels (u, v) in reach of the sides, evenly spread, and few others.
+
+    The sides are bands in a mask, drawn piece by piece since a lens bends them. Where a few of many pixels
+    are wanted the mask is so much coarser, and one pixel is taken somewhere in each of its squares.
+    """
+    px, normal, half = _bands(camera, pose, sides, width)
+    half += SHOULDER_BLURS * blur_px
+    length = np.linalg.norm(px[:, 1] - px[:, 0], axis=1)
+    area = 2.0 * float(length @ half)
+    coarse = max(1, int(np.sqrt(area / most)))
+    # Squares in part of a band are looked through as well.
+    margin = 0.5 * (coarse - 1)
+    wanted = most * (1.0 + 2.0 * margin * float(length.sum()) / max(area, 1.0))
+    reach = (half + margin)[:, None, None] * normal[:, None]
+    corners = (np.concatenate([px + reach, (px - reach)[:, ::-1]], 1) - margin) / coarse
+    mask = np.zeros((shape[0] // coarse, shape[1] // coarse), np.uint8)
+    for band in np.rint(16 * corners).astype(np.int32):
+        cv2.fillConvexPoly(mask, band, 1, cv2.LINE_8, 4)
+    square = thinned(mask, round(wanted))
+    at = coarse * square + (coarse * np.mod(square[:, ::-1] * np.array(R2), 1.0)).astype(np.int64)
+    return at[((at >= BORDER_PX) & (at < np.array(shape[::-1]) - BORDER_PX)).all(1)]
+
+
+def _bands(
+    camera: Camera, pose: Rigid, sides: Sides, width: tuple[float, float]
+) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
+    """Pieces of the sides' joints in the picture: their ends, unit normals, and half their widths."""
     ends_px = project_ground(camera, pose, sides.ends)
     count = np.ceil(np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1) / STRAIGHT_PX).astype(int)
     side = np.repeat(np.arange(len(sides)), count)
@@ -178,28 +206,27 @@ def _near_joints(
     start, along = sides.ends[side, 0], sides.ends[side, 1] - sides.ends[side, 0]
     ground = start[:, None] + fraction[..., None] * along[:, None]
     across = np.where(sides.family[side, None] == ALONG_X, [[0.0, width[0]]], [[width[1], 0.0]])
-    px, beside = project_ground(camera, pose, ground), project_ground(camera, pose, ground + across[:, None])
+    px = project_ground(camera, pose, ground)
+    beside = project_ground(camera, pose, ground.mean(1) + across)
     tangent = px[:, 1] - px[:, 0]
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-    normal = np.stack([-tangent[:, 1], tangent[:, 0]], 1)[:, None]
-    half = 0.5 * np.abs(((beside - px) * normal).sum(2, keepdims=True)) + SHOULDER_BLURS * blur_px
-    corners = np.concatenate([px + half * normal, (px - half * normal)[:, ::-1]], 1)
-    mask = np.zeros(shape, np.uint8)
-    for band in np.rint(16 * corners[np.isfinite(corners).all((1, 2))]).astype(np.int32):
-        cv2.fillConvexPoly(mask, band, 1, cv2.LINE_8, 4)
-    for edge in (mask, mask.T):
-        edge[:BORDER_PX] = edge[-BORDER_PX:] = 0
-    return mask
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], 1)
+    half = 0.5 * np.abs(((beside - px.mean(1)) * normal).sum(1))
+    seen = np.isfinite(px).all((1, 2)) & np.isfinite(half)
+    return px[seen], normal[seen], half[seen]
 
 
 def thinned(mask: UInt8[np.ndarray, "h w"], most: int) -> Int[np.ndarray, "n 2"]:
     """Pixels (u, v) of a mask, evenly thinned; some rows at a time, since large pictures have many."""
     share = most / max(cv2.countNonZero(mask), 1)
-    found: list[np.ndarray] = []
+    found = [np.zeros((0, 2), dtype=np.int64)]
     for top in range(0, len(mask), ROWS):
-        v, u = np.nonzero(mask[top : top + ROWS])
-        at = np.stack([u, v + top], 1)
-        found.append(at if share >= 1 else at[np.mod(at @ np.array(R2), 1.0) < share])
+        # None where all are zero.
+        seen = cast("np.ndarray | None", cv2.findNonZero(mask[top : top + ROWS]))
+        if seen is not None:
+            at = seen.reshape(-1, 2).astype(np.int64)
+            at[:, 1] += top
+            found.append(at if share >= 1 else at[np.mod(at @ np.array(R2), 1.0) < share])
     return np.concatenate(found)
 
 

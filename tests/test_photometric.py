@@ -23,7 +23,7 @@ from autoreg.measured_joints import without_washed_out
 from autoreg.photometric import on_grey_levels
 from autoreg.photometric_step import first_state, stepped, told_by_cells
 from autoreg.refine import Fit, refine_until_still
-from autoreg.stations import Grid, project_ground, visible_sides
+from autoreg.stations import Grid, on_ground, project_ground, visible_sides
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground
 from autoreg.uncertainty import Settled, settle
 
@@ -218,6 +218,40 @@ def test_pixels_are_those_near_joints_and_thinned_evenly() -> None:
     assert 0.6 * len(pixels) / 4 < len(some) < 1.02 * len(pixels) / 4
     shares = np.array(pixels.counts) / len(pixels)
     assert np.array(some.counts) / len(some) == pytest.approx(shares, abs=0.01)
+
+
+def test_a_few_pixels_of_a_large_picture_are_spread_over_its_joints() -> None:
+    camera = PLAIN.camera.scaled(8 * 480, 8 * 360)
+    scene = replace(PLAIN, camera=camera)
+    pixels = pixels_of(scene, np.zeros((8 * 360, 8 * 480), np.float32), 20_000)
+    assert 0.6 * 20_000 < len(pixels) < 1.02 * 20_000
+    at = np.rint(camera.project(pixels.rays)).astype(int)
+    assert len(np.unique(at, axis=0)) == len(at)
+    ground = on_ground(at.astype(float), camera, PLAIN.cam_from_ground)
+    off = np.abs(ground - np.rint(ground / PLAIN.spacing_m) * PLAIN.spacing_m).min(1)
+    # Half a joint, and the shoulders, of a pixel each at the most.
+    px_per_m = 1.0 / np.linalg.norm(
+        on_ground(at + [0.0, 1.0], camera, PLAIN.cam_from_ground) - ground, axis=1
+    )
+    assert ((off - 0.006) * px_per_m < 2.5 * TOTAL_BLUR + 1.0).all()
+    # Whatever squares they are taken from: none of their columns and rows is preferred.
+    for step in (2, 3, 4, 5):
+        shares = np.bincount((at % step) @ [1, step], minlength=step**2) / len(at)
+        assert shares == pytest.approx(1.0 / step**2, rel=0.25)
+
+
+def test_noise_is_told_as_well_by_a_few_pixels_for_each_tone() -> None:
+    # Slabs of their own tones, so that these are fitted and not known beforehand.
+    scene = replace(PLAIN, tone_spread=0.06)
+    picture, fit = photo_of(scene, 0), fitted(scene, 0)
+    pixels = pixels_of(scene, picture).thinned(24)
+    state = first_state(pixels, shape_of(scene), fit)
+    for _ in range(3):
+        step = stepped(pixels, state)
+        assert step is not None
+        state = step.state
+    assert len(pixels) < 8 * pixels.blocks
+    assert state.noise == pytest.approx(PLAIN.noise_grey, rel=0.06)
 
 
 def test_the_pose_of_a_picture_without_noise_is_exact() -> None:
