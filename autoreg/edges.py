@@ -14,7 +14,17 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from autoreg.profiles import Profiles
-from autoreg.strips import INDEPENDENT, NOISE_FLOOR, STILL_PX, StripModel, Window, batches, dot, edge, single
+from autoreg.strips import (
+    INDEPENDENT,
+    NOISE_FLOOR,
+    StripModel,
+    Window,
+    batches,
+    dot,
+    edge,
+    single,
+    still_moving,
+)
 
 # Profiles whose rooms differ by less are searched together.
 ROOM_STEP_PX = 4.0
@@ -117,18 +127,20 @@ def _fitted(
     """Offset, its sigma, depth, step and strength of some profiles."""
     at, values, weight = window
     strip = StripModel(values, weight, single(width), blur)
-    centre = start.copy()
+    centre, moving, some = start.copy(), np.arange(len(start)), strip
+    for _ in range(iterations):
+        some.at(at[moving] - single(centre[moving])[:, None])
+        slope = some.slope()
+        weighted = some.weight * slope
+        step = dot(weighted, some.misfit) / np.maximum(dot(weighted, slope), 1e-9)
+        away = centre[moving] - start[moving]
+        step = np.clip(np.clip(step, -0.7, 0.7), -2.5 - away, 2.5 - away)
+        centre[moving] += step
+        moving, some = still_moving(strip, moving, some, step)
+        if not len(moving):
+            break
     strip.at(at - single(centre)[:, None])
     slope = strip.slope()
-    for _ in range(iterations):
-        weighted = weight * slope
-        step = dot(weighted, strip.misfit) / np.maximum(dot(weighted, slope), 1e-9)
-        step = np.clip(np.clip(step, -0.7, 0.7), start - 2.5 - centre, start + 2.5 - centre)
-        if np.abs(step).max() < STILL_PX:
-            break
-        centre += step
-        strip.at(at - single(centre)[:, None])
-        slope = strip.slope()
     information = dot(weight * slope, slope).astype(float)
     samples = weight.sum(1).astype(float)
     sse = dot(weight * strip.misfit, strip.misfit).astype(float)

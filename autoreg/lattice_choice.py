@@ -40,7 +40,7 @@ DEPARTS_NATS = 10.0
 # Crossings of two lattices that are nearer to each other than this, in slabs, are the same.
 SAME_PLACE = 1e-3
 # Sides that tell it, the largest in the picture, and places between them that they are held against.
-SUBDIVIDE_SIDES, SUBDIVIDE_CONTROLS = 360, 900
+SUBDIVIDE_SIDES, SUBDIVIDE_CONTROLS = 180, 900
 
 
 @dataclass(frozen=True)

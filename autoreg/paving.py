@@ -72,8 +72,11 @@ _Interval = tuple[float, float]
 
 def promising_plane(looks: Looks, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
     """The first hypothesis, if its joints are clear as it came."""
-    plane = _combed(looks.fine, *hypotheses[0], local=False) if hypotheses else None
-    return plane if plane is not None and plane.score > PROMISING_NATS else None
+    for look in (looks.coarse, looks.fine) if hypotheses else ():
+        plane = _combed(look, *hypotheses[0], local=False)
+        if plane is not None and plane.score > PROMISING_NATS:
+            return plane
+    return None
 
 
 def comb_planes(

@@ -50,9 +50,9 @@ MOST_PIXELS = 80_000
 MOST_STEPS = 5
 # The first steps look at one pixel of so many.
 ROUGHLY = 5
-# Steps this small, in standard deviations of all that is solved for, are the last of the rough pass and of
-# the whole one: the next would be a fifth to a tenth as large.
-ROUGHLY_STILL_SIGMAS, STILL_SIGMAS = 3.0, 1.0
+# A pass ends where the next step would be this small, in standard deviations of all that is solved for, if it
+# were as much smaller than the last as that was than the one before: the rough pass, and the whole one.
+ROUGHLY_STILL_SIGMAS, STILL_SIGMAS = 1.0, 0.5
 # The design effect of even slabs: one for white noise, up to five as measured on textured stone. Places that
 # are off by as much as the pixels' noise hides in a cell double it; those of real slabs raise it to hundreds.
 MOST_DESIGN_EFFECT = 8.0
@@ -121,16 +121,18 @@ def on_grey_levels(
     if pixels.cells < SPARE_CELLS + UNKNOWNS:
         return None
     state, last = first_state(pixels.thinned(ROUGHLY), shape, fit), None
-    for every in (ROUGHLY, 1):
+    for every, still in ((ROUGHLY, ROUGHLY_STILL_SIGMAS), (1, STILL_SIGMAS)):
         some = pixels.thinned(every)
         # The first pass knows no tones that pixels could be held against.
         state = replace(state, weight=np.ones(len(some)) if last is None else None)
+        before = 0.0
         for _ in range(MOST_STEPS):
             last = stepped(some, state)
             if last is None or not _sound(last.state.shape, shape):
                 return None
-            state = last.state
-            if last.sigmas < (STILL_SIGMAS if every == 1 else ROUGHLY_STILL_SIGMAS):
+            state, shrinks = last.state, min(1.0, last.sigmas / before) if before else 1.0
+            before = last.sigmas
+            if shrinks * last.sigmas < still:
                 break
     if last is None:
         return None

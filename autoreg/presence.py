@@ -140,8 +140,7 @@ def side_presence(
     controls_wanted: int = CONTROLS_WANTED,
 ) -> Presence:
     """How well each visible side of a lattice, or of its one family `only`, is supported by the picture."""
-    sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit)
-    sides = sides if only is None else sides.take(np.flatnonzero(sides.family == only))
+    sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit, only=only)
     n = len(sides)
     if n == 0:
         return Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2)))

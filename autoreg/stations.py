@@ -119,10 +119,12 @@ def visible_sides(
     border_px: float = 2.0,
     limit: int = 6000,
     field: Float[np.ndarray, "k 2"] | None = None,
+    only: int | None = None,
 ) -> Sides:
-    """Sides in the picture, cut to it, whose slab measures at least `min_px` both ways.
+    """Sides in the picture, cut to it, whose slab measures at least `min_px` both ways, at most `limit`.
 
-    With a `field`, a convex counter-clockwise polygon of the ground, only sides whose middle lies in it.
+    With a `field`, a convex counter-clockwise polygon of the ground, only sides whose middle lies in it; with
+    a family, `only` its own.
     """
     ground = visible_ground(camera, cam_from_ground, reach)
     ground = ground[_slab_px(camera, cam_from_ground, grid, ground) > 0.5 * min_px]
@@ -141,6 +143,8 @@ def visible_sides(
     sides = slab_sides(grid, low, high)
     middle = sides.ends.mean(1)
     near = np.linalg.norm(middle - eye[:2], axis=1) < reach * eye[2]
+    if only is not None:
+        near &= sides.family == only
     if field is not None:
         near &= inside_convex(middle, field, 0.3 * grid.spacing_y)
     sides = sides.take(np.flatnonzero(near))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int
 
 from autoreg.profiles import STEP_PX, Profiles
 
@@ -19,6 +20,8 @@ NOISE_FLOOR = 0.02
 BATCH = 512
 # Places that move by less than this have converged.
 STILL_PX = 1e-3
+# Those that move are looked at by themselves where they are at most this part of the profiles.
+MOST_LEFT = 0.6
 
 
 class Window(NamedTuple):
@@ -85,6 +88,13 @@ class StripModel:
         self.samples = weight.sum(1, keepdims=True)
         self.values = self._centred(values)
 
+    def of(self, rows: Int[np.ndarray, " k"]) -> StripModel:
+        """The model on some of the profiles, for a blur that all of them share."""
+        some = copy(self)
+        some.weight, some.half, some.samples = self.weight[rows], self.half[rows], self.samples[rows]
+        some.values = self.values[rows]
+        return some
+
     def _centred(self, columns: np.ndarray) -> np.ndarray:
         return columns - dot(self.weight, columns)[:, None] / self.samples
 
@@ -128,3 +138,19 @@ class StripModel:
 
     def _left(self, columns: np.ndarray, tones: np.ndarray) -> np.ndarray:
         return columns - single(tones[0])[:, None] * self.near - single(tones[1])[:, None] * self.far
+
+
+def still_moving(
+    strip: StripModel, moving: Int[np.ndarray, " k"], some: StripModel, *steps: Float[np.ndarray, " k"]
+) -> tuple[Int[np.ndarray, " m"], StripModel]:
+    """The profiles of `moving` whose places still move, and the model on them, from that on `moving`.
+
+    Most come to rest soon. They are left out where that saves more than it costs.
+    """
+    far = np.max(np.abs(steps), axis=0) >= STILL_PX
+    if not far.any():
+        return moving[:0], some
+    if np.count_nonzero(far) > MOST_LEFT * len(far):
+        return moving, some
+    moving = moving[far]
+    return moving, strip.of(moving)

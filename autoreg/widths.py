@@ -8,7 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.profiles import Profiles
-from autoreg.strips import INDEPENDENT, NOISE_FLOOR, STILL_PX, StripModel, Window, batches, dot, single
+from autoreg.strips import (
+    INDEPENDENT,
+    NOISE_FLOOR,
+    StripModel,
+    Window,
+    batches,
+    dot,
+    single,
+    still_moving,
+)
 
 # Shares of the known width from which both edges of a strip are looked for, and the most steps towards them.
 STARTS, EDGE_STEPS = (0.6, 1.0), 12
@@ -51,22 +60,27 @@ def _both_edges(
     strip = StripModel(values, weight, single(share * width), blur)
     centre, half = start.copy(), 0.5 * share * width
     variances = np.zeros((2, len(start)))
+    moving, some = np.arange(len(start)), strip
     for _ in range(EDGE_STEPS):
-        strip.half = single(half)[:, None]
-        strip.at(at - single(centre)[:, None])
-        slopes = strip.slope(), strip.slope_by_half()
-        pulls = [dot(weight * slope, strip.misfit).astype(float) for slope in slopes]
+        some.half = single(half[moving])[:, None]
+        some.at(at[moving] - single(centre[moving])[:, None])
+        slopes = some.slope(), some.slope_by_half()
+        weighted = [some.weight * slope for slope in slopes]
+        pulls = [dot(each, some.misfit).astype(float) for each in weighted]
         # A little damping keeps steps of hardly visible edges finite.
-        squares = [1.01 * dot(weight * slope, slope).astype(float) + 1e-6 for slope in slopes]
-        mixed = dot(weight * slopes[0], slopes[1]).astype(float)
+        squares = [1.01 * dot(*pair).astype(float) + 1e-6 for pair in zip(weighted, slopes, strict=True)]
+        mixed = dot(weighted[0], slopes[1]).astype(float)
         determinant = squares[0] * squares[1] - mixed**2
-        variances = np.stack(squares[::-1]) / determinant
-        pulled = variances * np.stack(pulls) - mixed / determinant * np.stack(pulls[::-1])
+        variances[:, moving] = np.stack(squares[::-1]) / determinant
+        pulled = variances[:, moving] * np.stack(pulls) - mixed / determinant * np.stack(pulls[::-1])
         steps = np.clip(pulled, -0.7, 0.7)
-        centre += steps[0]
-        half = np.maximum(half + steps[1], 0.05 * width)
-        if np.abs(steps).max() < STILL_PX:
+        centre[moving] += steps[0]
+        half[moving] = np.maximum(half[moving] + steps[1], 0.05 * width[moving])
+        moving, some = still_moving(strip, moving, some, *steps)
+        if not len(moving):
             break
+    strip.half = single(half)[:, None]
+    strip.at(at - single(centre)[:, None])
     sse = dot(weight * strip.misfit, strip.misfit).astype(float)
     variance = sse / np.maximum(weight.sum(1).astype(float) * INDEPENDENT - 5.0, 1.0) + NOISE_FLOOR
     sigma_centre, sigma_half = np.sqrt(variance * variances)

@@ -84,6 +84,14 @@ def test_the_limit_keeps_the_largest_sides():
     assert np.linalg.norm(some.ends.mean(1) - eye, axis=1).mean() < 0.7 * away.mean()
 
 
+def test_the_sides_of_one_family_are_those_among_all():
+    everything = visible_sides(CAMERA, POSE, Grid(0.4, 0.3))
+    for family in (ALONG_X, ALONG_Y):
+        own = visible_sides(CAMERA, POSE, Grid(0.4, 0.3), only=family)
+        assert np.array_equal(own.ends, everything.ends[everything.family == family])
+        assert (own.family == family).all()
+
+
 def test_a_field_leaves_out_what_lies_outside_it():
     field = POSE.origin_in_a[:2] + np.array([0.0, 2.0]) + SQUARE
     sides = visible_sides(CAMERA, POSE, Grid(0.3, 0.3), field=field)
