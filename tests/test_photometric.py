@@ -231,7 +231,7 @@ def test_a_few_pixels_of_a_large_picture_are_spread_over_its_joints() -> None:
     off = np.abs(ground - np.rint(ground / PLAIN.spacing_m) * PLAIN.spacing_m).min(1)
     # Half a joint, and the shoulders, of a pixel each at the most.
     px_per_m = 1.0 / np.linalg.norm(
-        on_ground(at + [0.0, 1.0], camera, PLAIN.cam_from_ground) - ground, axis=1
+        on_ground(at + np.array([0.0, 1.0]), camera, PLAIN.cam_from_ground) - ground, axis=1
     )
     assert ((off - 0.006) * px_per_m < 2.5 * TOTAL_BLUR + 1.0).all()
     # Whatever squares they are taken from: none of their columns and rows is preferred.
