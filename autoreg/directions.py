@@ -9,6 +9,7 @@ and has the noise of the segment's own ends.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
@@ -58,6 +59,22 @@ class SegmentRays:
         """Unit normal of the plane through the camera centre and each segment."""
         return self.moment / np.linalg.norm(self.moment, axis=1, keepdims=True)
 
+    @cached_property
+    def moment_in_cutoffs(self) -> Float[np.ndarray, "n 3"]:
+        """The moments in units of how far off a segment may be."""
+        return self.moment / (CUTOFF_SIGMAS * self.sigma)[:, None]
+
+    @cached_property
+    def squares(self) -> Float[np.ndarray, "4 n"]:
+        """1, x, y and x² + y² of the middles: of these and a direction the denominator of r is made."""
+        x, y = self.middle[:, 0], self.middle[:, 1]
+        return np.stack([np.ones_like(x), x, y, x * x + y * y])
+
+    @cached_property
+    def blind_reach(self) -> Float[np.ndarray, " n"]:
+        """Square of how near to its middle a vanishing point lies on a segment, or nearly."""
+        return np.square(1.1 * self.half_length)
+
 
 def segment_rays(segments: Segments, ideal_xy: Float[np.ndarray, "n 2 2"], focal_px: float) -> SegmentRays:
     """Rays, longest first, of segments whose ends have been undistorted to ideal normalised points.
@@ -88,11 +105,9 @@ def agreement(
 
     A segment that a vanishing point lies on (or nearly) agrees with none: a real line never reaches its own.
     """
-    squared, denominator = squared_distance(rays, dirs.astype(dtype))
-    limit = (np.square(CUTOFF_SIGMAS * rays.sigma)).astype(dtype)
-    reach = np.square(1.1 * rays.half_length).astype(dtype)
-    blind = denominator < reach * np.square(dirs[..., 2:]).astype(dtype)
-    denominator *= limit
+    dirs = dirs.astype(dtype)
+    squared, denominator = _squared(dirs, rays.moment_in_cutoffs.astype(dtype), rays.squares.astype(dtype))
+    blind = denominator < rays.blind_reach.astype(dtype) * np.square(dirs[..., 2:])
     squared /= denominator
     kernel = np.subtract(1.0, squared, out=squared)
     np.maximum(kernel, 0.0, out=kernel)
@@ -104,22 +119,26 @@ def squared_distance(
     rays: SegmentRays, dirs: Float[np.ndarray, "*k 3"]
 ) -> tuple[Float[np.ndarray, "*k n"], Float[np.ndarray, "*k n"]]:
     """Numerator and denominator of r squared (for unit directions), each by one matrix product."""
-    moment, middle = rays.moment.astype(dirs.dtype), rays.middle.astype(dirs.dtype)
+    return _squared(dirs, rays.moment.astype(dirs.dtype), rays.squares.astype(dirs.dtype))
+
+
+def _squared(
+    dirs: Float[np.ndarray, "*k 3"], moment: Float[np.ndarray, "n 3"], squares: Float[np.ndarray, "4 n"]
+) -> tuple[Float[np.ndarray, "*k n"], Float[np.ndarray, "*k n"]]:
     x, y, z = dirs[..., 0], dirs[..., 1], dirs[..., 2]
     quadric = np.stack([x * x + y * y, -2 * x * z, -2 * y * z, z * z], -1)
-    squares = np.stack(
-        [np.ones_like(middle[:, 0]), middle[:, 0], middle[:, 1], (middle[:, :2] ** 2).sum(1)], 0
-    )
-    tiny = np.finfo(dirs.dtype).tiny
-    return np.square(dirs @ moment.T), np.maximum(quadric @ squares, tiny)
+    numerator, denominator = dirs @ moment.T, quadric @ squares
+    np.maximum(denominator, np.finfo(dirs.dtype).tiny, out=denominator)
+    return np.square(numerator, out=numerator), denominator
 
 
 def single_directions(
-    rays: SegmentRays, seeds: np.ndarray, *, count: int, apart_rad: float
+    rays: SegmentRays, seeds: np.ndarray, *, count: int, apart_rad: float, steps: int = 3
 ) -> Float[np.ndarray, "k 3"]:
     """Up to `count` directions with the most support, best first, at least `apart_rad` from each other.
 
-    Every pair of the seed segments proposes the direction that both share; all rays vote on each.
+    Every pair of the seed segments proposes the direction that both share; all rays vote on each. The best
+    are refined in so many `steps`.
     """
     normal = rays.normal[seeds]
     i, j = np.triu_indices(len(seeds), 1)
@@ -129,7 +148,7 @@ def single_directions(
     if not len(dirs):
         return np.zeros((0, 3))
     support = _votes(rays, dirs)
-    peaks = refine_directions(rays, dirs[_peaks(dirs, support, 4 * count, apart_rad)])
+    peaks = refine_directions(rays, dirs[_peaks(dirs, support, 4 * count, apart_rad)], steps)
     return peaks[_varied(agreement(rays, peaks) * rays.weight, count)]
 
 
@@ -175,7 +194,7 @@ def _varied(support: Float[np.ndarray, "k n"], count: int) -> Int[np.ndarray, " 
 
 
 def refine_directions(
-    rays: SegmentRays, dirs: Float[np.ndarray, "k 3"], steps: int = 3
+    rays: SegmentRays, dirs: Float[np.ndarray, "k 3"], steps: int
 ) -> Float[np.ndarray, "k 3"]:
     """Each direction moved to the weighted least-squares direction of the segments that agree with it."""
     outer = (rays.moment[:, :, None] * rays.moment[:, None, :]).reshape(len(rays), 9)

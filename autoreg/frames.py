@@ -92,7 +92,9 @@ def fit_step(
     weight = memberships(rays, dirs / np.linalg.norm(dirs, axis=-1, keepdims=True), allowed)
     moment = scale[:, :, None, :] * rays.moment
     slope = np.empty((*numerator.shape, 4))
-    slope[..., :3] = np.cross(dirs_cam[:, :, None, :], moment)
+    d, m = np.moveaxis(dirs_cam, 2, 0)[..., None], np.moveaxis(moment, 3, 0)
+    for k, i, j in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        slope[..., k] = d[i] * m[j] - d[j] * m[i]
     slope[..., 3] = -dirs[:, :, None, 2] * rays.moment[:, 2]
     slope *= inverse[..., None]
     frames, observations = len(slope), families * len(rays)

@@ -14,6 +14,12 @@ from autoreg.errors import Refusal
 from autoreg.frames import FrameFit, fit_step, frames_through, image_dirs, memberships
 from autoreg.segments import Segments
 
+# The longest so many segments vote, and each two of the longest so many name a direction.
+VOTERS, SEEDS = 250, 50
+# Directions that frames are begun with, frames that are fitted by the voters, steps of their fits, and steps
+# that the best then takes by all segments.
+FIRST, FITTED, STEPS, LAST_STEPS = 14, 6, 3, 2
+
 
 @dataclass(frozen=True)
 class ManhattanFrame:
@@ -38,12 +44,12 @@ def manhattan_frame(segments: Segments, camera: Camera) -> ManhattanFrame:
         Refusal: `one_direction` where no two directions at right angles find support.
     """
     rays = camera_rays(segments, camera)
-    voters = rays.take(np.arange(min(len(rays), 400)))
-    seeds = np.arange(min(len(rays), 150))
-    first = single_directions(voters, seeds, count=24, apart_rad=np.radians(2.0))
-    fit = frames_through(voters, first, np.zeros(1), peaks=4)
-    fit = fit.take(np.argsort(-_score(voters, fit)[1], kind="stable")[:24])
-    for _ in range(6):
+    voters = rays.take(np.arange(min(len(rays), VOTERS)))
+    seeds = np.arange(min(len(rays), SEEDS))
+    first = single_directions(voters, seeds, count=FIRST, apart_rad=np.radians(2.0), steps=1)
+    fit = frames_through(voters, first, np.zeros(1), peaks=3)
+    fit = fit.take(np.argsort(-_score(voters, fit)[1], kind="stable")[:FITTED])
+    for _ in range(STEPS):
         fit = fit_step(voters, fit, 3, None, log_focal_prior=None)
     support, score = _score(rays, fit)
     if not len(fit) or np.count_nonzero(support[np.argmax(score)]) < 2:
@@ -52,7 +58,7 @@ def manhattan_frame(segments: Segments, camera: Camera) -> ManhattanFrame:
         )
     best = int(np.argmax(score))
     fit = fit.take(np.array([best]))
-    for _ in range(4):
+    for _ in range(LAST_STEPS):
         fit = fit_step(rays, fit, 3, None, log_focal_prior=None)
     support, _ = _score(rays, fit)
     order, sign = _upright(fit.R[0])

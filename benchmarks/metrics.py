@@ -140,7 +140,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("vanishing.auc10", "York Urban, AUC at 10°", "", "higher", 0.90, 0.01),
     Metric("vanishing.rotation", "York Urban, rotation, median", "deg", goal=0.85, relative=0.03),
     Metric("vanishing.lead", "AUC at 3° above the best peer's of this run", "", "higher", 0.0, 0.0, 0.02),
-    Metric("vanishing.time", "segments and frame over one LSD pass", goal=0.3, relative=TIMES, gated="full"),
+    Metric("vanishing.time", "the stage alone over one LSD pass", goal=0.3, relative=TIMES, gated="full"),
+    Metric("vanishing.with_segments", "segments and frame over one LSD pass", relative=TIMES, gated="full"),
     # thesis
     Metric("thesis.rms", "rendered lines off the true joints, worst photo", "px", goal=0.5, relative=0.15),
     Metric("thesis.gain", "error of the best hand tuning over autoreg's, median", "", "higher", relative=0.2),
