@@ -23,6 +23,8 @@ from autoreg.stations import Grid
 MOST_CORRELATED = 0.999
 # Chamfers are looked for in strips of this width beside the joints.
 STRIP_BLURS = 1.5
+# Slope of the view, ground distance over height, at which what depends on it is as large as it gets.
+SOON = 1.6
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 
 
@@ -168,6 +170,20 @@ class JointImage:
             clear = other.share[0] + other.share[1]
             column[at, family], column[at, family + 2] = (clear * part for part in _lopsided(own))
         return column
+
+    def together(self, slopes: Slopes, by: tuple[float, float]) -> Float[np.ndarray, "n 4"]:
+        """Pixels' change where all joints of a family lie off by a length on the ground, their own one each.
+
+        Of the joints along X and of those along Y: to one side, and away from the camera, as far as they are
+        seen aslant.
+        """
+        eye = self.shape.pose.origin_in_a
+        aslant = np.clip((self.view.ground - eye[:2]) / (SOON * eye[2]), -1.0, 1.0)
+        # Joints along X lie off along Y.
+        along_x, along_y = (
+            slopes.by_ground[:, axis] * length for axis, length in zip((1, 0), by, strict=True)
+        )
+        return np.column_stack([along_x, along_x * aslant[:, 1], along_y, along_y * aslant[:, 0]])
 
     def _by_plane(self, slopes: Slopes) -> Float[np.ndarray, "n 3"]:
         """Derivatives by a shift of the ground on the camera's side, each pixel's own."""

@@ -63,13 +63,15 @@ CONTRADICTION = 1e-4
 # A side takes part if this share of its stations does.
 USABLE_SHARE = 0.5
 # What the drawing leaves out: sides of joints that differ, by grey levels in the joint and beside it, the
-# lens's first coefficient, and pixels that the whole picture is moved by, as ray-traced prints are (0.003 to
-# 0.005). Real shadows have other shapes than those drawn: what they do is known to no better than itself.
+# lens's first coefficient, pixels that the whole picture is moved by, as ray-traced prints are (0.003 to
+# 0.005), and what a family's joints lie off by together, which looks like another pose. Real shadows have
+# other shapes than those drawn: what they do is known to no better than itself.
 DOUBTS = (
     Doubt((0, 1), (0.3, 1.0, 3.0, 10.0, 30.0), 0.5, 0.2, 1.0),
     Doubt((2, 3), (0.3, 1.0, 3.0, 10.0, 30.0), 0.5, 0.2, 1.0),
     Doubt((4,), (3e-5, 1e-4, 3e-4, 1e-3, 3e-3), 0.5, 1e-5, 0.2),
     Doubt((5, 6), (0.003,), 0.0, 0.0, 0.0),
+    Doubt((7, 8, 9, 10), (1.0,), 0.0, 0.0, 0.0),
 )
 
 
