@@ -10,12 +10,12 @@ from jaxtyping import Float
 
 from autoreg.alignment import JointFit, Residual
 from autoreg.errors import Refusal
+from autoreg.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import quarter_turns
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.lattice_choice import has_ratio
 from autoreg.presence import Presence
-from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
 
 

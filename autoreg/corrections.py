@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from autoreg import joint_data as terms
+from autoreg.fit import Fit
 from autoreg.geometry import Rigid
-from autoreg.refine import Fit
 from autoreg.stations import ALONG_Y
 
 # Changes of the bond's shift below this share of a slab are left alone.

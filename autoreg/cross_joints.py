@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from scipy.special import gammainc
 
 from autoreg.camera import Camera
-from autoreg.refine import Fit
+from autoreg.fit import Fit
 from autoreg.segments import Segments
 from autoreg.stations import on_ground
 

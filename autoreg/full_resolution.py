@@ -9,11 +9,12 @@ import numpy as np
 
 from autoreg.conclude import slab_mismatch, with_slab_ratio
 from autoreg.corrections import with_measured_shift
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.last_step import likeliest
 from autoreg.lattice_choice import Paving, presented
 from autoreg.presence import presence_of
-from autoreg.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, Fit, refine, refine_until_still
+from autoreg.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
 from autoreg.refusals import arcs, focal_untold, no_lattice
 from autoreg.right_angles import Squared, square_up
 from autoreg.rows import STEP_SIGMA, Rows, common_sag

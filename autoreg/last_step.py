@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.corrections import recentred
+from autoreg.fit import Fit
 from autoreg.measured_joints import widths_told, without_washed_out
 from autoreg.photometric import on_grey_levels
-from autoreg.refine import Fit
 from autoreg.uncertainty import Settled, settle
 
 # Slabs whose places scatter by more than this, as seen across a joint of median size, need not be tried.

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.bond import customary_shift
+from autoreg.fit import Fit
 from autoreg.ground_frame import turned, with_origin
 from autoreg.patterns import Pattern, best_pattern, broken
 from autoreg.presence import Presence, presence_of
-from autoreg.refine import Fit
 from autoreg.side_by_side import side_by_side
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
 

@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from autoreg.joint_looks import BLURS, DARK, width_px_of
-from autoreg.refine import Fit
+from autoreg.fit import Fit
+from autoreg.joint_looks import BLURS, DARK
 from autoreg.stations import ALONG_X, ALONG_Y
 
-# Joints at least this many blurs wide show both edges apart.
-APART_BLURS = 2.5
 # Share of the largest blur that is tried, from which on the blur itself is in doubt.
 MOST_BLUR = 0.85
 # Joints are as wide as this share of them look at most: others are hidden in part, or their slabs lie off.
@@ -108,12 +106,10 @@ def widths_told(fit: Fit) -> bool:
 
 def _told_apart(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
     """Which of the stations see both edges of a joint that is darker, or lighter, than its slabs."""
-    lined = np.array(fit.strip.polarity)[fit.stations.family[rows]] != 0
+    wide = np.flatnonzero(fit.apart[rows])
     # A picture more blurred than any blur that is tried makes thin joints look wide.
-    lined &= fit.strip.blur_px < MOST_BLUR * BLURS[-1]
-    expected = width_px_of(fit.strip, fit.stations, fit.profiles)[rows]
-    wide = np.flatnonzero(lined & (expected > APART_BLURS * fit.strip.blur_px))
-    if len(wide) < LEAST_WIDE * len(rows):
+    blurred = fit.strip.blur_px >= MOST_BLUR * BLURS[-1]
+    if blurred or len(wide) < LEAST_WIDE * len(rows):
         return wide[:0]
     return wide[np.isfinite(fit.widths.sigma_width_px[rows[wide]])]
 

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from autoreg.bond import BondHypothesis, bond_hypotheses
 from autoreg.camera import Camera
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned
@@ -23,7 +24,7 @@ from autoreg.lattice_choice import Paving, hopeful, settle_bond
 from autoreg.periods import Comb, best_combs
 from autoreg.presence import field_polygon, presence_of
 from autoreg.rectify import Window, near_reach, rectify
-from autoreg.refine import Fit, refine
+from autoreg.refine import refine
 from autoreg.segments import Segments
 from autoreg.sharpen import sharpen
 from autoreg.sight import Look, Looks

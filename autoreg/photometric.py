@@ -27,6 +27,7 @@ from scipy.special import chdtri
 
 from autoreg import joint_data as terms
 from autoreg.design_effect import design_effects
+from autoreg.fit import LEAST_WEIGHT, Fit
 from autoreg.freedom import stretched
 from autoreg.image_doubts import Averaged, Doubt, averaged_over
 from autoreg.joint_data import PARAMETERS
@@ -42,7 +43,6 @@ from autoreg.photometric_step import (
     told_by_cells,
     with_doubts,
 )
-from autoreg.refine import LEAST_WEIGHT, Fit
 from autoreg.stations import Sides, visible_sides
 
 # Pixels that are looked at: more tell little more, and cost time.

@@ -10,10 +10,10 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 
 from autoreg import joint_data as terms
+from autoreg.fit import Fit
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
 from autoreg.joint_image import JointImage, Shape, Slopes, with_looks
 from autoreg.joint_pixels import JOINT, JointPixels
-from autoreg.refine import Fit
 from autoreg.side_by_side import side_by_side
 from autoreg.tones import Blocks, Shares, tone_variances
 

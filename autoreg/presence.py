@@ -19,10 +19,10 @@ from scipy.spatial import ConvexHull, KDTree
 
 from autoreg.camera import Camera
 from autoreg.edges import strip_support
+from autoreg.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.joint_looks import Strip
 from autoreg.profiles import sample_profiles
-from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, Sides, Stations, inside_convex, visible_sides
 
 # The controls lie between these shares of the spacing off the predicted joint. Few sides get many controls

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
 from autoreg.edges import Offsets, fit_offsets
+from autoreg.fit import Fit
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
 from autoreg.joint_data import JointData
@@ -27,7 +27,7 @@ from autoreg.joint_looks import (
 )
 from autoreg.profiles import Profiles, sample_profiles
 from autoreg.scatter import beside_rim, scatter_model
-from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Solution, solve_joints
+from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, solve_joints
 from autoreg.stations import (
     ALONG_X,
     Grid,
@@ -36,7 +36,6 @@ from autoreg.stations import (
     project_ground,
     visible_sides,
 )
-from autoreg.widths import Widths, fit_widths
 
 # Solves per round, each with the scatter that the one before left; and the widest search, in slab sides, that
 # finds the joints for good.
@@ -50,52 +49,11 @@ FAINT = 0.1
 SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 # ... and where nothing is known of the joints.
 UNKNOWN_HALF_PX = 16.0
-# Stations that keep less of their weight do not lie on their joint.
-LEAST_WEIGHT = 0.1
 # Where what is near must bring the farther joints within reach: how far to look, in camera heights, and the
 # half width of the first search, in slab sides.
 FROM_THE_FEET, WIDE_SEARCH = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0), 0.15
 # A motion by less than this share of the joints' median distance from their lines does not matter.
 STILL_SHARE = 0.02
-
-
-@dataclass(frozen=True)
-class Fit:
-    """A refined pose with all that it was fitted to.
-
-    `weight` is each station's robust weight (0 to 1), `sigma_px` its expected scatter: measurement and the
-    slabs' own irregularity together.
-    """
-
-    camera: Camera
-    cam_from_ground: Rigid
-    grid: Grid
-    strip: Strip
-    stations: Stations
-    profiles: Profiles
-    offsets: Offsets
-    distances_px: Float[np.ndarray, " n"]
-    sigma_px: Float[np.ndarray, " n"]
-    usable: Bool[np.ndarray, " n"]
-    solution: Solution
-    free: Free
-
-    @property
-    def weight(self) -> Float[np.ndarray, " n"]:
-        """Cauchy weight of each station; zero for one whose joint could not be measured."""
-        return self.usable / (1.0 + (self.distances_px / (CAUCHY_SIGMAS * self.sigma_px)) ** 2)
-
-    @property
-    def missed(self) -> float:
-        """Share of the stations that do not lie on their joint, in the family with more of them."""
-        off, family = self.weight < LEAST_WEIGHT, self.stations.family
-        return max(float(off[family == k].mean()) for k in np.unique(family))
-
-    @cached_property
-    def widths(self) -> Widths:
-        """Middle and width of each joint by its own two edges."""
-        expected = width_px_of(self.strip, self.stations, self.profiles)
-        return fit_widths(self.profiles, self.offsets.offset_px, expected, self.strip.blur_px)
 
 
 def refine(

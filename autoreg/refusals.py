@@ -9,9 +9,9 @@ import numpy as np
 from autoreg.camera import Camera
 from autoreg.cross_joints import Lean
 from autoreg.errors import Refusal
+from autoreg.fit import Fit
 from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
-from autoreg.refine import Fit
 from autoreg.rows import Rows, Sag
 
 # Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs

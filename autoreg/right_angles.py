@@ -22,8 +22,9 @@ from jaxtyping import Float
 from autoreg import joint_data as terms
 from autoreg.cross_joints import FEWEST_JOINTS, OffSquare, off_angle, off_square
 from autoreg.directions import LAYING_SPREAD_RAD
+from autoreg.fit import Fit
 from autoreg.freedom import Free, moved_camera, moved_pose
-from autoreg.refine import Fit, refine_until_still
+from autoreg.refine import refine_until_still
 from autoreg.segments import Segments
 from autoreg.slab_model import Scatter, estimate_motion
 from autoreg.solver import CAUCHY_SIGMAS, Prior

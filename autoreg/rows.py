@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.cross_joints import find_cross_joints
+from autoreg.fit import LEAST_WEIGHT, Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned, with_origin
@@ -20,7 +21,6 @@ from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving, line_e
 from autoreg.patterns import best_pattern
 from autoreg.paving import PlaneCombs, fit_outwards, refine_in_field
 from autoreg.presence import Presence, field_polygon, presence_of
-from autoreg.refine import LEAST_WEIGHT, Fit
 from autoreg.segments import Segments
 from autoreg.stations import ALONG_X, Grid
 

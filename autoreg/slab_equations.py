@@ -17,8 +17,8 @@ from scipy.sparse import hstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from autoreg.design_effect import drawn_design_effect
+from autoreg.fit import Fit
 from autoreg.measured_joints import measured_joints
-from autoreg.refine import Fit
 from autoreg.slab_effects import (
     bloom_effects,
     bow_effects,

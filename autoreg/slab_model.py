@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from autoreg.fit import Fit
 from autoreg.joint_data import PARAMETERS
-from autoreg.refine import Fit
 from autoreg.slab_equations import RELIEFS, Sizes, SlabEquations
 from autoreg.solver import Prior
 

@@ -10,9 +10,10 @@ from jaxtyping import Float
 
 from autoreg import joint_data as terms
 from autoreg.bond import customary_shift
+from autoreg.fit import Fit
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.geometry import Rigid
-from autoreg.refine import FROM_THE_FEET, WIDE_SEARCH, Fit, refine, refine_until_still
+from autoreg.refine import FROM_THE_FEET, WIDE_SEARCH, refine, refine_until_still
 from autoreg.slab_model import BOW, Estimate, Scatter, estimate_motion
 
 # What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of

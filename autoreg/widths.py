@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from autoreg.profiles import Profiles
 from autoreg.strips import (
@@ -19,6 +19,8 @@ from autoreg.strips import (
     still_moving,
 )
 
+# Joints at least this many blurs wide show both edges apart.
+APART_BLURS = 2.5
 # Shares of the known width from which both edges of a strip are looked for, and the most steps towards them.
 STARTS, EDGE_STEPS = (0.6, 1.0), 12
 
@@ -37,18 +39,24 @@ class Widths:
 
 
 def fit_widths(
-    profiles: Profiles, start_px: Float[np.ndarray, " n"], width_px: Float[np.ndarray, " n"], blur: float
+    profiles: Profiles,
+    start_px: Float[np.ndarray, " n"],
+    width_px: Float[np.ndarray, " n"],
+    blur: float,
+    rows: Int[np.ndarray, " m"] | None = None,
 ) -> Widths:
-    """Least-squares places of both edges of each strip, from where one of a known width was fitted.
+    """Least-squares places of both edges of each strip, or of those of some `rows`, the others untold.
 
-    An edge that is hidden, or looks like its slab, leaves a narrower strip that lies off: two widths are
-    started from.
+    They are looked for from where a strip of known width was fitted. An edge that is hidden, or looks like
+    its slab, leaves a narrower strip that lies off: two widths are started from.
     """
-    columns = np.empty((4, len(start_px)))
-    for rows, window in batches(profiles, start_px, width_px, blur):
-        found = [_both_edges(window, start_px[rows], width_px[rows], share, blur) for share in STARTS]
+    rows = np.arange(len(start_px)) if rows is None else rows
+    some, start, width = profiles.take(rows), start_px[rows], width_px[rows]
+    columns = np.stack([start_px, width_px, *np.full((2, len(start_px)), np.inf)])
+    for part, window in batches(some, start, width, blur):
+        found = [_both_edges(window, start[part], width[part], share, blur) for share in STARTS]
         better = found[1][0] < found[0][0]
-        columns[:, rows] = np.where(better, found[1][1:], found[0][1:])
+        columns[:, rows[part]] = np.where(better, found[1][1:], found[0][1:])
     return Widths(*columns)
 
 

@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.camera import Camera
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.full_resolution import REACH
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.last_step import likeliest, rested
-from autoreg.refine import NARROW, Fit, refine_until_still
+from autoreg.refine import NARROW, refine_until_still
 from autoreg.stations import Grid, on_ground, project_ground
 from autoreg.synthetic import SyntheticScene
 

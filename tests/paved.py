@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 
 from autoreg.camera import Camera
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid, angle_between_rotations, rotation_from_vector
-from autoreg.refine import Fit, refine
+from autoreg.refine import refine
 from autoreg.stations import Grid
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground
 

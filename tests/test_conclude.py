@@ -19,10 +19,10 @@ from autoreg.conclude import (
     with_slab_ratio,
 )
 from autoreg.errors import Refusal
+from autoreg.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import with_origin
 from autoreg.presence import Presence, side_presence
-from autoreg.refine import Fit
 from autoreg.stations import Grid, project_ground
 from autoreg.synthetic import SyntheticPhoto
 

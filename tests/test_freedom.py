@@ -7,9 +7,9 @@ import pytest
 from paved import CAMERA
 
 from autoreg import joint_data as terms
+from autoreg.fit import Fit
 from autoreg.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.joint_data import PARAMETERS
-from autoreg.refine import Fit
 from autoreg.solver import Solution
 from autoreg.stations import Grid
 

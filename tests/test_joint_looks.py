@@ -8,9 +8,10 @@ import pytest
 from paved import CHECKER, STACK, gray_of, misses, nudged, true_grid
 
 from autoreg.edges import Offsets
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.joint_looks import Strip, bloom_px
-from autoreg.refine import Fit, refine
+from autoreg.refine import refine
 from autoreg.stations import Stations
 from autoreg.synthetic import SyntheticPhoto, render_paving
 from autoreg.uncertainty import settle

@@ -10,12 +10,13 @@ import pytest
 
 from autoreg.camera import Camera
 from autoreg.corrections import recentred
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import vector_from_rotation
 from autoreg.image import as_gray
 from autoreg.joint_looks import width_px_of
 from autoreg.measured_joints import measured_joints, widths_told, without_washed_out
-from autoreg.refine import Fit, refine_until_still
+from autoreg.refine import refine_until_still
 from autoreg.stations import ALONG_Y, Grid, project_ground
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from autoreg.uncertainty import settle

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from paved import GRAVEL, gray_of, misses, nudged
 
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.ground_frame import with_origin
 from autoreg.joint_looks import Strip
@@ -13,7 +14,6 @@ from autoreg.lattice_choice import Paving, rival, same_lattice, settle_bond, wit
 from autoreg.patterns import Pattern
 from autoreg.paving import comb_planes, fills, lay_lattice, refine_in_field
 from autoreg.presence import field_polygon, presence_of
-from autoreg.refine import Fit
 from autoreg.segments import detect_segments
 from autoreg.sight import looks_at
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, slab_sides

@@ -14,6 +14,7 @@ from scipy.stats import chi2, multivariate_normal
 
 from autoreg import photometric
 from autoreg.camera import Camera
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.joint_image import JointImage, Shape, with_looks
@@ -22,7 +23,7 @@ from autoreg.last_step import likeliest, rested
 from autoreg.measured_joints import without_washed_out
 from autoreg.photometric import on_grey_levels
 from autoreg.photometric_step import first_state, stepped, told_by_cells
-from autoreg.refine import Fit, refine_until_still
+from autoreg.refine import refine_until_still
 from autoreg.stations import Grid, on_ground, project_ground, visible_sides
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground
 from autoreg.uncertainty import Settled, settle

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from made_sides import made_presence, presence_with
 from paved import CAMERA, STACK, gray_of
 
+from autoreg.fit import Fit
 from autoreg.ground_frame import with_origin
 from autoreg.joint_looks import Strip
 from autoreg.presence import Presence, field_polygon, p_llr, side_presence
-from autoreg.refine import Fit
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, inside_convex, slab_sides
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 

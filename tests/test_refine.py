@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from paved import CAMERA, CHECKER, HALF_BOND, STACK, fit_of, gray_of, misses, nudged, true_grid
 
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import angle_between_rotations
 from autoreg.joint_data import PARAMETERS
-from autoreg.refine import Fit, refine, refine_until_still
+from autoreg.refine import refine, refine_until_still
 from autoreg.solver import Solution
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
 from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving

@@ -13,11 +13,12 @@ from autoreg.align import EXIF_FOCAL_SIGMA, align
 from autoreg.camera import Camera
 from autoreg.cross_joints import common_lean, off_angle, off_square
 from autoreg.errors import Refusal
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.full_resolution import MOST_FOCAL_SIGMA
 from autoreg.geometry import Rigid, angle_between_rotations, vector_from_rotation
 from autoreg.image import as_gray
-from autoreg.refine import Fit, refine_until_still
+from autoreg.refine import refine_until_still
 from autoreg.refusals import arcs
 from autoreg.right_angles import SHARED_RAD, Squared, square_up
 from autoreg.rows import STEP_SIGMA, common_sag

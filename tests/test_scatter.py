@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from autoreg.fit import Fit
 from autoreg.joint_data import PARAMETERS
-from autoreg.refine import Fit
 from autoreg.scatter import beside_rim, scatter_model
 from autoreg.solver import Solution
 from autoreg.stations import ALONG_X

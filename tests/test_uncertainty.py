@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 from autoreg.camera import Camera
 from autoreg.conclude import Frame
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
 from autoreg.image import as_gray
-from autoreg.refine import Fit, refine_until_still
+from autoreg.refine import refine_until_still
 from autoreg.slab_model import estimate_motion
 from autoreg.solver import Prior
 from autoreg.stations import ALONG_Y, Grid

@@ -1,0 +1,68 @@
+"""A refined pose with all that it was fitted to, and what the joints it rests on say of themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from autoreg.camera import Camera
+from autoreg.edges import Offsets
+from autoreg.freedom import Free
+from autoreg.geometry import Rigid
+from autoreg.joint_looks import Strip, width_px_of
+from autoreg.profiles import Profiles
+from autoreg.solver import CAUCHY_SIGMAS, Solution
+from autoreg.stations import Grid, Stations
+from autoreg.widths import APART_BLURS, Widths, fit_widths
+
+# Stations that keep less of their weight do not lie on their joint.
+LEAST_WEIGHT = 0.1
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A refined pose with all that it was fitted to.
+
+    `weight` is each station's robust weight (0 to 1), `sigma_px` its expected scatter: measurement and the
+    slabs' own irregularity together.
+    """
+
+    camera: Camera
+    cam_from_ground: Rigid
+    grid: Grid
+    strip: Strip
+    stations: Stations
+    profiles: Profiles
+    offsets: Offsets
+    distances_px: Float[np.ndarray, " n"]
+    sigma_px: Float[np.ndarray, " n"]
+    usable: Bool[np.ndarray, " n"]
+    solution: Solution
+    free: Free
+
+    @property
+    def weight(self) -> Float[np.ndarray, " n"]:
+        """Cauchy weight of each station; zero for one whose joint could not be measured."""
+        return self.usable / (1.0 + (self.distances_px / (CAUCHY_SIGMAS * self.sigma_px)) ** 2)
+
+    @property
+    def missed(self) -> float:
+        """Share of the stations that do not lie on their joint, in the family with more of them."""
+        off, family = self.weight < LEAST_WEIGHT, self.stations.family
+        return max(float(off[family == k].mean()) for k in np.unique(family))
+
+    @cached_property
+    def apart(self) -> Bool[np.ndarray, " n"]:
+        """Stations whose joint, darker or lighter than its slabs, is so wide that both of its edges show."""
+        lined = np.array(self.strip.polarity)[self.stations.family] != 0
+        expected = width_px_of(self.strip, self.stations, self.profiles)
+        return self.usable & lined & (expected > APART_BLURS * self.strip.blur_px)
+
+    @cached_property
+    def widths(self) -> Widths:
+        """Middle and width of the joints that are `apart`, by their own two edges."""
+        expected, rows = width_px_of(self.strip, self.stations, self.profiles), np.flatnonzero(self.apart)
+        return fit_widths(self.profiles, self.offsets.offset_px, expected, self.strip.blur_px, rows)
