@@ -39,10 +39,14 @@ def rested(
 ) -> Settled:
     """A fit from its likeliest pose brought to its last one.
 
-    Where the slabs lie so evenly that the picture's grey levels can tell no difference, these tell the pose.
+    Where the slabs lie so evenly that the picture's grey levels can tell no difference, these tell the pose,
+    unless the joints' widths tell of a relief.
     """
     fit = settled.fit
     if fit.grid.spacing_x is None:
+        return settled
+    # The grey levels are held against flat joints, and sunk ones look much like these at another pose.
+    if settled.scatter.relief > 0.0 and widths_told(fit):
         return settled
     if settled.scatter.place * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
         return settled

@@ -446,3 +446,24 @@ def test_pixels_of_a_large_mask_are_those_of_all_its_rows_at_once() -> None:
     some = thinned(mask, 2000)
     assert np.array_equal(some, at[np.mod(at @ np.array(R2), 1.0) < 2000 / len(at)])
     assert len(some) == pytest.approx(2000, rel=0.02)
+
+
+@pytest.mark.parametrize(("depth_m", "azimuth_deg"), [(0.003, 45.0), (0.005, 170.0)])
+def test_even_slabs_with_sunk_joints_are_left_to_their_measured_places(depth_m: float, azimuth_deg: float):
+    scene = replace(
+        PLAIN,
+        cam_from_ground=look_at_ground(pitch_deg=45.0, height_m=1.4, heading_deg=23.0, foot_m=(0.13, 0.21)),
+        spacing_m=(0.3, 0.3),
+        joint_depth_m=depth_m,
+        sun_elevation_rad=1.1,
+        sun_azimuth_rad=float(np.deg2rad(azimuth_deg)),
+    )
+    settled = likeliest(fitted(scene, 1))
+    drawn = on_grey_levels(photo_of(scene, 1), settled.fit, settled.covariance, REACH)
+    # Joints that are drawn flat fit the picture well enough to be believed, at a pose that is wrong.
+    assert drawn is not None
+    off, error = (error_of(scene, fit.cam_from_ground) for fit in (drawn.fit, settled.fit))
+    assert off @ np.linalg.solve(drawn.covariance, off) > chi2.ppf(0.9999, 6)
+    assert settled.scatter.relief > 0
+    assert error @ np.linalg.solve(settled.covariance, error) < chi2.ppf(0.95, 6)
+    assert rested(photo_of(scene, 1), settled, REACH) is settled

@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
+from autoreg.synthetic.relief import Side, seen_parts
 from autoreg.synthetic.scene import SyntheticScene
 
 TABLE = 128  # The random tables repeat after so many cells, far beyond what one photo shows sharply.
 
 Tones = Float[np.ndarray, "*n"]
+# Column and row of slabs.
+Cell = tuple[Int[np.ndarray, "*n"], Int[np.ndarray, "*n"]]
 
 
-def comb_coverage(x: Tones, width: Tones, period: float, band: float) -> Tones:
+def comb_coverage(x: Tones, width: Tones, period: float, band: Tones | float) -> Tones:
     """Part of the intervals [x - width/2, x + width/2] that lies in bands around the multiples of a period.
 
     Exact for any width, because it is the difference of the bands' integral at both ends.
@@ -59,6 +62,10 @@ class Ground:
         self._lean = np.tan(scene.lean_rad + scene.turn_rad * turns)
         # The last one is where the run is repeated.
         self._lean[:, -1] = 0.0
+        self._eye = scene.cam_from_ground.origin_in_a
+        heights, slab_turns = rng.spawn(1)[0].standard_normal((2, TABLE, TABLE))
+        self._lift = np.clip(heights, -2.5, 2.5) * scene.lift_m
+        self._slab_turn = slab_turns * scene.slab_turn_rad
 
     def tone(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
         """Grey levels of ground samples whose footprints are `width` wide."""
@@ -69,6 +76,8 @@ class Ground:
             return self._gravel(x, y, np.hypot(width_x, width_y))
         if kind == "rows":
             return self._rows(x, y, width_x, width_y)
+        if self.scene.has_relief:
+            return self._sunk_lattice(x, y, width_x, width_y)
         return self._lattice(x, y, width_x, width_y)
 
     def texture(self, x: Tones, y: Tones, width: Tones) -> Tones:
@@ -103,6 +112,56 @@ class Ground:
         else:
             i = np.zeros_like(i)
         return covered * scene.joint_tone + (1 - covered) * self._slab_tone(i, j)
+
+    def _sunk_lattice(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
+        """The lattice with relief; where joints cross, the one along X goes on."""
+        a, b = self.scene.spacing_m
+        j = np.floor(y / b).astype(np.int64)
+        i = self._column(x, j)
+        # The line that is nearest, and what lies on its two sides.
+        row = np.round(y / b).astype(np.int64)
+        below, above = ((self._column(x, r), r) for r in (row - 1, row))
+        along, joints = self._joint_along(1, below, above, x, y, (y - row * b, width_y, b))
+        moved = x - np.mod(j * self.scene.shift, 1.0) * a
+        column = np.round(moved / a).astype(np.int64)
+        left, right = (column - 1, j), (column, j)
+        across, cross_joints = self._joint_along(0, left, right, x, y, (moved - column * a, width_x, a))
+        return joints + (1 - along) * (cross_joints + (1 - across) * self._slab_tone(i, j))
+
+    def _joint_along(
+        self, axis: int, before: Cell, beyond: Cell, x: Tones, y: Tones, comb: tuple[Tones, Tones, float]
+    ) -> tuple[Tones, Tones]:
+        """How much of each footprint the joints across one axis cover, and that much of their tone.
+
+        Args:
+            axis: the ground axis across the joint.
+            before: the slab on the nearest joint's side of smaller coordinates.
+            beyond: the slab on its other side.
+            x: of the samples.
+            y: of the samples.
+            comb: the samples' distances from the nearest joint's line, their footprints' widths, the spacing.
+        """
+        half = 0.5 * self.scene.joint_width_m
+        slope = ((x, y)[axis] - self._eye[axis]) / self._eye[2]
+        low, high = self._side(axis, -half, before, x, y), self._side(axis, half, beyond, x, y)
+        covered, tones = np.zeros_like(x), np.zeros_like(x)
+        for part in seen_parts(self.scene, low, high, slope, axis):
+            share = comb_coverage(comb[0] - part.middle_m, comb[1], comb[2], part.width_m)
+            covered, tones = covered + share, tones + share * part.tone
+        return covered, tones
+
+    def _side(self, axis: int, edge_m: float, slab: Cell, x: Tones, y: Tones) -> Side:
+        """The side of a slab whose edge ought to lie at a distance from the joint's line."""
+        (a, b), (i, j) = self.scene.spacing_m, slab
+        cell = (j % TABLE, i % TABLE)
+        middle = (i + 0.5 + np.mod(j * self.scene.shift, 1.0)) * a, (j + 0.5) * b
+        lever = (middle[1] - y, x - middle[0])[axis]
+        place = (self._shift_x, self._shift_y)[axis][cell] + self._slab_turn[cell] * lever
+        return Side(edge_m + place, self._lift[cell], self._slab_tone(i, j))
+
+    def _column(self, x: Tones, j: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+        a = self.scene.spacing_m[0]
+        return np.floor((x - np.mod(j * self.scene.shift, 1.0) * a) / a).astype(np.int64)
 
     def _rows(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
         scene = self.scene

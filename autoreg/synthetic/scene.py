@@ -44,6 +44,15 @@ class SyntheticScene:
         texture: standard deviation of the stone's texture, relative.
         jitter_m: standard deviation of each slab's place along X and along Y; it must stay under a fifth of
             the joint's width, so that slabs do not touch.
+        joint_depth_m: how deep the bed of the joints of "lattice" lies under the slabs' tops; 0 paints flat
+            joints, whatever the sun.
+        lift_m: standard deviation of each slab's height (at most 2.5 times that), at most 0.4 of the joints'
+            depth, so that no slab sinks under the bed.
+        slab_turn_rad: standard deviation of each slab's turn about its middle ("lattice").
+        sun_azimuth_rad: direction on the ground towards the sun, counter-clockwise from +X.
+        sun_elevation_rad: how high the sun stands, up to pi/2.
+        sky_light: share of the light on level ground that comes from the sky, not from the sun; 1 is flat
+            light.
         turn_rad: standard deviation of the direction of each cross joint of "rows".
         lean_rad: what all cross joints of "rows" are off square by, towards +X.
         shadows: number of cast shadows (hard edges, three sides).
@@ -71,6 +80,12 @@ class SyntheticScene:
     jitter_m: float = 0.0
     turn_rad: float = 0.0
     lean_rad: float = 0.0
+    joint_depth_m: float = 0.0
+    lift_m: float = 0.0
+    slab_turn_rad: float = 0.0
+    sun_azimuth_rad: float = 0.0
+    sun_elevation_rad: float = 0.8
+    sky_light: float = 0.4
     shadows: int = 0
     shade: float = 0.45
     clutter: int = 0
@@ -92,6 +107,31 @@ class SyntheticScene:
             )
         if self.samples < 1:
             raise ValueError(f"samples must be at least 1, got {self.samples}")
+        self._check_relief()
+
+    def _check_relief(self) -> None:
+        if self.joint_depth_m < 0:
+            raise ValueError(f"joint_depth_m must not be negative, got {self.joint_depth_m} m")
+        if not 0 <= self.lift_m <= 0.4 * self.joint_depth_m:
+            raise ValueError(
+                f"lift_m must be within 0 and 0.4 of joint_depth_m = {self.joint_depth_m} m, "
+                f"got {self.lift_m} m"
+            )
+        if self.has_relief and self.kind != "lattice":
+            raise ValueError(
+                f"joint_depth_m and slab_turn_rad are drawn for kind 'lattice' only, got {self.kind!r}"
+            )
+        if not 0 < self.sun_elevation_rad <= np.pi / 2:
+            raise ValueError(
+                f"sun_elevation_rad must be above 0 and at most pi/2, got {self.sun_elevation_rad}"
+            )
+        if not 0 <= self.sky_light <= 1:
+            raise ValueError(f"sky_light must be within 0 and 1, got {self.sky_light}")
+
+    @property
+    def has_relief(self) -> bool:
+        """Whether joints have a depth, or slabs are turned: both need the sides of single slabs."""
+        return self.joint_depth_m > 0 or self.slab_turn_rad > 0
 
 
 @dataclass(frozen=True)
