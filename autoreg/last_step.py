@@ -7,14 +7,17 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from autoreg import photometric, slab_effects
 from autoreg.corrections import recentred
 from autoreg.fit import Fit
-from autoreg.measured_joints import widths_told, without_washed_out
-from autoreg.photometric import on_grey_levels
+from autoreg.measured_joints import measured_joints, widths_told, without_washed_out
 from autoreg.uncertainty import Settled, settle
 
 # Slabs whose places scatter by more than this, as seen across a joint of median size, need not be tried.
 UNEVEN_PX = 0.04
+# Joints that look narrower by more than this share of their width at a slope of one are sunk. Prints may seem
+# so by up to 0.06.
+SUNK = 0.1
 
 
 def likeliest(fit: Fit) -> Settled:
@@ -28,7 +31,11 @@ def likeliest(fit: Fit) -> Settled:
         return settle(fit)
     fit = without_washed_out(fit)
     settled = settle(fit)
-    return settled if widths_told(fit) else replace(settled, fit=recentred(settled.fit))
+    if not widths_told(fit):
+        return replace(settled, fit=recentred(settled.fit))
+    return replace(
+        settled, narrowing=slab_effects.narrowing(measured_joints(fit, np.flatnonzero(fit.usable)))
+    )
 
 
 def rested(
@@ -40,17 +47,19 @@ def rested(
     """A fit from its likeliest pose brought to its last one.
 
     Where the slabs lie so evenly that the picture's grey levels can tell no difference, these tell the pose,
-    unless the joints' widths tell of a relief.
+    unless the joints' widths tell that they are sunk.
     """
     fit = settled.fit
     if fit.grid.spacing_x is None:
         return settled
     # The grey levels are held against flat joints, and sunk ones look much like these at another pose.
-    if settled.scatter.relief > 0.0 and widths_told(fit):
+    if settled.narrowing > SUNK:
         return settled
     if settled.scatter.place * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
         return settled
-    exact = on_grey_levels(picture, fit, settled.covariance, reach, field)
+    # Joints that may be sunk a little may be off as much as sunk ones.
+    together = slab_effects.TOGETHER if settled.scatter.relief > 0 else photometric.TOGETHER
+    exact = photometric.on_grey_levels(picture, fit, settled.covariance, reach, field, together)
     if exact is None:
         return settled
     # Of a large picture's pixels a few are looked at, and the measured places may know more.

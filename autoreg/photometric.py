@@ -62,6 +62,9 @@ SPARE_CELLS = 8
 CONTRADICTION = 1e-4
 # A side takes part if this share of its stations does.
 USABLE_SHARE = 0.5
+# What the joints of a family may lie off by together, in widths, as ray-traced prints do: walls a tenth of a
+# millimetre high are enough.
+TOGETHER = 0.01
 # What the drawing leaves out: sides of joints that differ, by grey levels in the joint and beside it, the
 # lens's first coefficient, pixels that the whole picture is moved by, as ray-traced prints are (0.003 to
 # 0.005), and what a family's joints lie off by together, which looks like another pose. Real shadows have
@@ -101,6 +104,7 @@ def on_grey_levels(
     covariance: Float[np.ndarray, "6 6"],
     reach: float,
     field: Float[np.ndarray, "k 2"] | None = None,
+    together: float = TOGETHER,
 ) -> Photometric | None:
     """The fit moved to the pose of the picture's grey levels; None if its slabs do not lie evenly enough.
 
@@ -112,6 +116,7 @@ def on_grey_levels(
         covariance: of its pose, on the camera's side, as irregular slabs leave it.
         reach: how far to look, in heights of the camera.
         field: where on the ground the paving is; everywhere if None.
+        together: what the joints of a family may be off by together, as a share of their width.
     """
     if fit.grid.spacing_x is None or fit.free.focal or fit.free.centre or fit.free.radial:
         return None
@@ -139,7 +144,7 @@ def on_grey_levels(
     if last is None:
         return None
     try:
-        return _judged(last, fit, covariance)
+        return _judged(last, fit, covariance, together)
     except np.linalg.LinAlgError:
         # Something that is asked for cannot be told from what is doubted.
         return None
@@ -166,13 +171,15 @@ def _sound(shape: Shape, start: Shape) -> bool:
     return bool(finite and (ratios > 0.3).all() and (ratios < 3.0).all())
 
 
-def _judged(last: Step, fit: Fit, covariance: Float[np.ndarray, "6 6"]) -> Photometric | None:
+def _judged(
+    last: Step, fit: Fit, covariance: Float[np.ndarray, "6 6"], together: float
+) -> Photometric | None:
     """The answer, if its slabs are even and the joints' measured places do not contradict it."""
     state, pixels = last.state, last.pixels
     counted = int((np.bincount(pixels.cell, state.weight) > 0).sum())
     if counted < SPARE_CELLS + len(last.free):
         return None
-    answer, effect = _averaged(last)
+    answer, effect = _averaged(last, together)
     if effect > MOST_DESIGN_EFFECT:
         return None
     plain, doubted = answer.plain[:6, :6], answer.added[:6, :6]
@@ -194,10 +201,10 @@ def _judged(last: Step, fit: Fit, covariance: Float[np.ndarray, "6 6"]) -> Photo
     return Photometric(moved, plain, doubted, state.noise, effect, len(pixels))
 
 
-def _averaged(last: Step) -> tuple[Averaged, float]:
+def _averaged(last: Step, together: float) -> tuple[Averaged, float]:
     """A last step of all unknowns, averaged over what is doubted, and the design effect of the pose."""
     known, noise = len(last.free), last.state.noise
-    unknowns, last = np.r_[last.free, UNKNOWNS + np.arange(DOUBTED)], with_doubts(last)
+    unknowns, last = np.r_[last.free, UNKNOWNS + np.arange(DOUBTED)], with_doubts(last, together)
     scores, told = told_by_cells(last, unknowns)
     information, score = told.sum(0), scores.sum(0)
     ridge = np.diag(np.r_[np.zeros(known), 1e-12 + 1e-9 * np.diag(information)[known:]])

@@ -31,10 +31,9 @@ LEAST_NOISE = 0.05
 # behind them stand the columns of what the drawing leaves out, which no step solves for.
 LOOKS, MEANS, UNKNOWNS, DOUBTED = slice(7, 10), slice(10, 12), 12, 11
 
-# What the joints of a family may lie off by together, in widths, as ray-traced prints do: walls a tenth of a
-# millimetre high are enough. Where tiles meet without a joint that shows, there may be a hairline as wide as
-# what is taken for none, whose tone moves the step by up to half of that.
-TOGETHER, HAIRLINE = 0.01, 0.3
+# Where tiles meet without a joint that shows, there may be a hairline as wide as what is taken for none. Its
+# tone moves the step by up to half of that.
+HAIRLINE = 0.3
 
 # Pixels that are drawn at a time, such parts side by side: what a processor's cache holds.
 MOST_AT_ONCE = 32_768
@@ -172,10 +171,13 @@ def _left(part: Part, tones: np.ndarray, step: np.ndarray) -> Float[np.ndarray, 
     return _without_tones(part.image.pixels, part.share, tones) - moved
 
 
-def with_doubts(last: Step) -> Step:
-    """The same step with the columns of what the drawing leaves out, instead of the grey levels."""
+def with_doubts(last: Step, together: float) -> Step:
+    """The same step with the columns of what the drawing leaves out, instead of the grey levels.
+
+    The joints of a family may lie off `together` by such a share of their width.
+    """
     widths = zip(last.state.shape.width, last.state.fit.strip.polarity, strict=True)
-    x, y = (TOGETHER * width if polarity else HAIRLINE * width for width, polarity in widths)
+    x, y = (together * width if polarity else HAIRLINE * width for width, polarity in widths)
     more = side_by_side(lambda part: _doubts(part, (x, y)), last.parts)
     both = list(zip(last.parts, more, strict=True))
     sums = np.sum([part.shares.sums(columns) for part, columns in both], 0)

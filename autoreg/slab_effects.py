@@ -20,6 +20,9 @@ FAR_SHADE, NEAR_SHADE = 0.4, 0.2
 # What all joints of a family may be off by together, as a share of their width, and the slopes at which this
 # differs most: real walls and shadows have other shapes than those drawn, as ray-traced pavings show.
 TOGETHER, SOON, LATE = 0.03, 1.6, 4.0
+# What tells that joints look narrower aslant: so many of them, whose widths differ by such a share among
+# themselves, and a slope of so many standard deviations.
+FEWEST_SEEN, UNEVEN_SHARE, CLEAR_SIGMAS = 10, 0.02, 3.0
 # What is not known of the joints' full width, as a share of it, and what a wrong blur adds to it.
 WIDTH_SIGMA, BLUR_PX = 0.1, 0.15
 
@@ -93,6 +96,30 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     # The same covariance in fewer columns.
     U, size, _ = np.linalg.svd(np.concatenate([0.5 * (beyond + before), width]), full_matrices=False)
     return (U * size)[:, size > 0.01 * size[0]]
+
+
+def narrowing(joints: MeasuredJoints) -> float:
+    """By what share of their width joints look narrower at a slope of one than from above, at the most.
+
+    Each family is asked by itself, and each way that it is seen: a wall in the light hides a part of the bed
+    that grows with the slope. Zero where nothing speaks for it.
+    """
+    rows, full = joints.wide, _full_width_px(joints)[joints.wide]
+    slope, family = _slope(joints)[rows], joints.fit.stations.family[joints.rows][rows]
+    lost, noise = (v[len(joints.rows) :] / full for v in (joints.off_px, joints.noise_px))
+    found = 0.0
+    for own in (ALONG_X, ALONG_Y):
+        for way in (-1.0, 1.0):
+            some = np.flatnonzero((family == own) & (way * slope > 0))
+            if len(some) < FEWEST_SEEN:
+                continue
+            weight = 1.0 / np.hypot(noise[some], UNEVEN_SHARE)
+            columns = np.stack([weight, weight * np.abs(slope[some])], 1)
+            covariance = np.linalg.pinv(columns.T @ columns)
+            rise = float((covariance @ (columns.T @ (weight * lost[some])))[1])
+            if rise > CLEAR_SIGMAS * np.sqrt(covariance[1, 1]):
+                found = max(found, rise)
+    return found
 
 
 def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 8"]:

@@ -448,14 +448,14 @@ def test_pixels_of_a_large_mask_are_those_of_all_its_rows_at_once() -> None:
     assert len(some) == pytest.approx(2000, rel=0.02)
 
 
-@pytest.mark.parametrize(("depth_m", "azimuth_deg"), [(0.003, 45.0), (0.005, 170.0)])
-def test_even_slabs_with_sunk_joints_are_left_to_their_measured_places(depth_m: float, azimuth_deg: float):
+@pytest.mark.parametrize("azimuth_deg", [45.0, 200.0])
+def test_even_slabs_with_sunk_joints_are_left_to_their_measured_places(azimuth_deg: float):
     scene = replace(
         PLAIN,
         cam_from_ground=look_at_ground(pitch_deg=45.0, height_m=1.4, heading_deg=23.0, foot_m=(0.13, 0.21)),
         spacing_m=(0.3, 0.3),
-        joint_depth_m=depth_m,
-        sun_elevation_rad=1.1,
+        joint_depth_m=0.006,
+        sun_elevation_rad=0.8,
         sun_azimuth_rad=float(np.deg2rad(azimuth_deg)),
     )
     settled = likeliest(fitted(scene, 1))
@@ -464,6 +464,6 @@ def test_even_slabs_with_sunk_joints_are_left_to_their_measured_places(depth_m: 
     assert drawn is not None
     off, error = (error_of(scene, fit.cam_from_ground) for fit in (drawn.fit, settled.fit))
     assert off @ np.linalg.solve(drawn.covariance, off) > chi2.ppf(0.9999, 6)
-    assert settled.scatter.relief > 0
+    assert settled.narrowing > 0.12
     assert error @ np.linalg.solve(settled.covariance, error) < chi2.ppf(0.95, 6)
     assert rested(photo_of(scene, 1), settled, REACH) is settled
