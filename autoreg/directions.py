@@ -106,7 +106,9 @@ def agreement(
     A segment that a vanishing point lies on (or nearly) agrees with none: a real line never reaches its own.
     """
     dirs = dirs.astype(dtype)
-    squared, denominator = _squared(dirs, rays.moment_in_cutoffs.astype(dtype), rays.squares.astype(dtype))
+    squared = dirs @ rays.moment_in_cutoffs.astype(dtype).T
+    np.square(squared, out=squared)
+    denominator = squared_denominator(rays, dirs)
     blind = denominator < rays.blind_reach.astype(dtype) * np.square(dirs[..., 2:])
     squared /= denominator
     kernel = np.subtract(1.0, squared, out=squared)
@@ -115,21 +117,12 @@ def agreement(
     return kernel
 
 
-def squared_distance(
-    rays: SegmentRays, dirs: Float[np.ndarray, "*k 3"]
-) -> tuple[Float[np.ndarray, "*k n"], Float[np.ndarray, "*k n"]]:
-    """Numerator and denominator of r squared (for unit directions), each by one matrix product."""
-    return _squared(dirs, rays.moment.astype(dirs.dtype), rays.squares.astype(dirs.dtype))
-
-
-def _squared(
-    dirs: Float[np.ndarray, "*k 3"], moment: Float[np.ndarray, "n 3"], squares: Float[np.ndarray, "4 n"]
-) -> tuple[Float[np.ndarray, "*k n"], Float[np.ndarray, "*k n"]]:
+def squared_denominator(rays: SegmentRays, dirs: Float[np.ndarray, "*k 3"]) -> Float[np.ndarray, "*k n"]:
+    """Square of r's denominator for unit directions, by one matrix product; never zero."""
     x, y, z = dirs[..., 0], dirs[..., 1], dirs[..., 2]
     quadric = np.stack([x * x + y * y, -2 * x * z, -2 * y * z, z * z], -1)
-    numerator, denominator = dirs @ moment.T, quadric @ squares
-    np.maximum(denominator, np.finfo(dirs.dtype).tiny, out=denominator)
-    return np.square(numerator, out=numerator), denominator
+    denominator = quadric @ rays.squares.astype(dirs.dtype)
+    return np.maximum(denominator, np.finfo(dirs.dtype).tiny, out=denominator)
 
 
 def single_directions(
@@ -199,7 +192,7 @@ def refine_directions(
     """Each direction moved to the weighted least-squares direction of the segments that agree with it."""
     outer = (rays.moment[:, :, None] * rays.moment[:, None, :]).reshape(len(rays), 9)
     for _ in range(steps):
-        _, denominator = squared_distance(rays, dirs)
+        denominator = squared_denominator(rays, dirs)
         w = agreement(rays, dirs) * rays.weight / (denominator * rays.sigma**2)
         dirs = np.linalg.eigh((w @ outer).reshape(-1, 3, 3))[1][:, :, 0]
     return dirs

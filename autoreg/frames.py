@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from autoreg.directions import SegmentRays, agreement, squared_distance
+from autoreg.directions import SegmentRays, agreement, squared_denominator
 
 CIRCLE_BINS = 180
 # Focal length relative to that of the rays, beyond which no lens of a camera lies.
@@ -87,7 +87,7 @@ def fit_step(
     scale = np.array([1.0, 1.0, 0.0]) + shrink * np.array([0.0, 0.0, 1.0])
     dirs = dirs_cam * scale
     numerator = dirs @ rays.moment.T
-    _, denominator = squared_distance(rays, dirs)
+    denominator = squared_denominator(rays, dirs)
     inverse = 1.0 / (np.sqrt(denominator) * rays.sigma)
     weight = memberships(rays, dirs / np.linalg.norm(dirs, axis=-1, keepdims=True), allowed)
     moment = scale[:, :, None, :] * rays.moment

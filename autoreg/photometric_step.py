@@ -30,11 +30,9 @@ LEAST_NOISE = 0.05
 # Unknowns besides the tones of blocks: seven of the pose, three looks, the mean tones of slabs and of joints;
 # behind them stand the columns of what the drawing leaves out, which no step solves for.
 LOOKS, MEANS, UNKNOWNS, DOUBTED = slice(7, 10), slice(10, 12), 12, 11
-
 # Where tiles meet without a joint that shows, there may be a hairline as wide as what is taken for none. Its
 # tone moves the step by up to half of that.
 HAIRLINE = 0.3
-
 # Pixels that are drawn at a time, such parts side by side: what a processor's cache holds.
 MOST_AT_ONCE = 32_768
 

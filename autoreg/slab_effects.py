@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_matrix
 
+from autoreg.joint_image import SOON
 from autoreg.measured_joints import MeasuredJoints
 from autoreg.stations import ALONG_X, ALONG_Y
 
@@ -17,9 +18,9 @@ KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
 # Shift of a joint's far edge by a shadow on the bed, against that by a lit wall, and the near edge's against
 # the far one's.
 FAR_SHADE, NEAR_SHADE = 0.4, 0.2
-# What all joints of a family may be off by together, as a share of their width, and the slopes at which this
-# differs most: real walls and shadows have other shapes than those drawn, as ray-traced pavings show.
-TOGETHER, SOON, LATE = 0.03, 1.6, 4.0
+# What all joints of a family may be off by together, as a share of their width, and the slope besides SOON at
+# which this differs most: real walls and shadows have shapes that are not drawn, as ray-traced pavings show.
+TOGETHER, LATE = 0.03, 4.0
 # What tells that joints look narrower aslant: so many of them, whose widths differ by such a share among
 # themselves, and a slope of so many standard deviations.
 FEWEST_SEEN, UNEVEN_SHARE, CLEAR_SIGMAS = 10, 0.02, 3.0
@@ -125,9 +126,8 @@ def narrowing(joints: MeasuredJoints) -> float:
 def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 8"]:
     """Pixels by which the joints of a family may lie off together: alike, or by how steeply they are seen."""
     slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
-    steep, facing = np.abs(slope), np.where(slope < 0, -1.0, 1.0)
-    soon, late = np.minimum(steep / SOON, 1.0), np.minimum(steep / LATE, 1.0)
-    shapes = np.stack([np.ones_like(slope), soon, facing * soon, facing * late], 1)
+    soon, late = (np.clip(slope / knee, -1.0, 1.0) for knee in (SOON, LATE))
+    shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
     size = TOGETHER * _full_width_px(joints)
     own = [shapes * (size * (family == each))[:, None] for each in (ALONG_X, ALONG_Y)]
     return joints.middles_only(np.concatenate(own, 1))

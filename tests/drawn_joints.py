@@ -7,7 +7,10 @@ from jaxtyping import Float
 from scipy.ndimage import map_coordinates
 
 from autoreg.camera import Camera
+from autoreg.geometry import Rigid
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene
+from benchmarks.raytrace.picture import take
+from benchmarks.raytrace.scene import Paving, Scene
 
 PLAIN = SyntheticScene(
     camera=Camera(480, 360, 430.0, 433.0, 236.0, 184.0),
@@ -16,6 +19,28 @@ PLAIN = SyntheticScene(
     noise_grey=0.0,
     colour=False,
 )
+
+
+# Slabs of one tone that lie where they ought to.
+EVEN = Paving(place_jitter_m=0.0, height_jitter_m=0.0, turn_jitter_deg=0.0, veins=0.0, tone_spread=0.0)
+
+
+def traced(camera: Camera, pose: Rigid, paving: Paving, **light: float) -> np.ndarray:
+    """Grey levels of a paving that POV-Ray draws without noise or blur."""
+    scene = Scene(
+        name="traced",
+        kind="printed",
+        seed=5,
+        camera=camera,
+        told=camera,
+        cam_from_ground=pose,
+        paving=paving,
+        noise_grey=0.0,
+        blur_px=0.0,
+        area_sampled=True,
+        **light,  # type: ignore[arg-type]
+    )
+    return take(scene)[..., 1]
 
 
 def joint_offsets_px(photo: SyntheticPhoto, middles_m: Float[np.ndarray, "n 2"], along_x: bool):

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
-from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_joints import PLAIN, joint_middles, joint_offsets_px
+from drawn_joints import EVEN, PLAIN, joint_middles, joint_offsets_px, traced
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -171,38 +169,12 @@ def test_a_relief_that_cannot_be_drawn_is_rejected_by_name(change: dict[str, flo
 @pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed")
 @pytest.mark.parametrize("azimuth_deg", [0.0, 60.0, 150.0])
 def test_sunk_joints_look_as_povray_traces_them(azimuth_deg: float, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
-    picture, raytrace = import_module("raytrace.picture"), import_module("raytrace.scene")
     # Its ambient light is the same everywhere, also on walls.
     monkeypatch.setattr("autoreg.synthetic.relief._open", lambda top, bottom, width: np.ones_like(bottom))
     pose = look_at_ground(pitch_deg=45.0, height_m=0.9, heading_deg=25.0, foot_m=(0.1, 0.1))
     camera, elevation = Camera(640, 480, 600.0, 600.0, 319.5, 239.5), np.deg2rad(40.0)
-    paving = raytrace.Paving(
-        slab_m=(0.3, 0.3),
-        depth_m=DEPTH,
-        joint_m=0.012,
-        place_jitter_m=0.0,
-        height_jitter_m=0.0,
-        turn_jitter_deg=0.0,
-        veins=0.0,
-        tone_spread=0.0,
-    )
-    traced = picture.take(
-        raytrace.Scene(
-            name="sunk",
-            kind="easy",
-            seed=5,
-            camera=camera,
-            told=camera,
-            cam_from_ground=pose,
-            paving=paving,
-            sun_elevation_deg=40.0,
-            sun_azimuth_deg=azimuth_deg,
-            noise_grey=0.0,
-            blur_px=0.0,
-            area_sampled=True,
-        )
-    )[..., 1]
+    paving = replace(EVEN, slab_m=(0.3, 0.3), depth_m=DEPTH, joint_m=0.012)
+    grey = traced(camera, pose, paving, sun_elevation_deg=40.0, sun_azimuth_deg=azimuth_deg)
     photo = render_paving(
         replace(
             PLAIN,
@@ -211,7 +183,7 @@ def test_sunk_joints_look_as_povray_traces_them(azimuth_deg: float, monkeypatch:
             spacing_m=(0.3, 0.3),
             joint_width_m=0.012,
             joint_depth_m=DEPTH,
-            slab_tone=float(np.median(traced)),
+            slab_tone=float(np.median(grey)),
             joint_tone=255 * (paving.bed_albedo[1] * (0.2 + 0.65 * np.sin(elevation))) ** (1 / 2.2),
             sun_azimuth_rad=np.deg2rad(azimuth_deg),
             sun_elevation_rad=elevation,
@@ -220,9 +192,9 @@ def test_sunk_joints_look_as_povray_traces_them(azimuth_deg: float, monkeypatch:
             samples=4,
         )
     )
-    same = SyntheticPhoto(traced, camera, pose, photo.lattice)
+    same = SyntheticPhoto(grey, camera, pose, photo.lattice)
     for along_x in (True, False):
         at = joint_middles(photo, along_x)
         drawn, seen = (joint_offsets_px(p, at, along_x) for p in (photo, same))
         assert np.sqrt(np.mean((drawn - seen) ** 2)) < 0.06
-    assert np.sqrt(np.mean((photo.pixels.astype(float) - traced) ** 2)) < 3.0
+    assert np.sqrt(np.mean((photo.pixels.astype(float) - grey) ** 2)) < 3.0

@@ -2,12 +2,10 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
-from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_joints import PLAIN, joint_middles, joint_offsets_px
+from drawn_joints import EVEN, PLAIN, joint_middles, joint_offsets_px, traced
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -198,39 +196,14 @@ def test_a_lens_that_folds_the_picture_is_rejected():
 
 @pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed")
 @pytest.mark.parametrize("dist", [(0.0,) * 8, LENS.dist], ids=["pinhole", "lens"])
-def test_the_truth_of_a_ray_traced_scene_is_where_povray_drew_its_joints(
-    dist: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "benchmarks"))
-    picture, scene_module = import_module("raytrace.picture"), import_module("raytrace.scene")
+def test_the_truth_of_a_ray_traced_scene_is_where_povray_drew_its_joints(dist: tuple[float, ...]):
     camera = replace(PLAIN.camera, dist=dist)
-    paving = scene_module.Paving(
-        slab_m=(0.6, 0.3),
-        shift=0.5,
-        depth_m=0.0001,
-        place_jitter_m=0.0,
-        height_jitter_m=0.0,
-        turn_jitter_deg=0.0,
-        veins=0.0,
-        tone_spread=0.0,
-    )
-    scene = scene_module.Scene(
-        name="exact",
-        kind="printed",
-        seed=5,
-        camera=camera,
-        told=camera,
-        cam_from_ground=look_at_ground(pitch_deg=50.0, height_m=1.5, heading_deg=20.0),
-        paving=paving,
-        noise_grey=0.0,
-        blur_px=0.0,
-        area_sampled=True,
-    )
-    grey = picture.take(scene)[..., 1]
+    pose = look_at_ground(pitch_deg=50.0, height_m=1.5, heading_deg=20.0)
+    grey = traced(camera, pose, replace(EVEN, slab_m=(0.6, 0.3), shift=0.5, depth_m=0.0001))
     lattice = Lattice(
         kind="running", spacing_x=0.6, spacing_y=0.3, shift=0.5, joint_width=0.009, extent=np.zeros((0, 2))
     )
-    photo = SyntheticPhoto(grey, camera, scene.cam_from_ground, lattice)
+    photo = SyntheticPhoto(grey, camera, pose, lattice)
     for along_x in (True, False):
         offsets = joint_offsets_px(photo, joint_middles(photo, along_x), along_x)
         assert len(offsets) >= 8
