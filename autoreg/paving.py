@@ -21,6 +21,7 @@ from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned
 from autoreg.lattice_choice import Paving, hopeful, settle_bond
+from autoreg.multiples import divided, slabs_in_one
 from autoreg.periods import Comb, best_combs
 from autoreg.presence import field_polygon, presence_of
 from autoreg.rectify import Window, near_reach, rectify
@@ -243,9 +244,27 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free) -> Paving 
     if len(presence.p) < 6 or not hopeful(presence):
         return None
     field = field_polygon(presence)
-    if not fills(fit, field):
-        return settle_bond(looks.picture, refine_in_field(looks.picture, fit, field))
-    return settle_bond(looks.picture, fit, presence if len(presence.p) < GLANCE_SIDES else None)
+    if fills(fit, field):
+        laid = settle_bond(looks.picture, fit, presence if len(presence.p) < GLANCE_SIDES else None)
+    else:
+        laid = settle_bond(looks.picture, refine_in_field(looks.picture, fit, field))
+    return None if laid is None else of_single_slabs(looks.picture, laid)
+
+
+def of_single_slabs(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving | None:
+    """The lattice of the slabs themselves, where one was found whose cells hold several of them.
+
+    None where there are joints within the cells and no lattice has them.
+    """
+    family, count = slabs_in_one(picture, laid.fit, laid.presence)
+    if count == 1:
+        return laid
+    fine = divided(laid.fit, family, count)
+    if fine is None:
+        return None
+    again = settle_bond(picture, refine_in_field(picture, fine, laid.presence.field))
+    still = again is not None and slabs_in_one(picture, again.fit, again.presence)[1] > 1
+    return None if still else again
 
 
 def fills(fit: Fit, field: Float[np.ndarray, "k 2"]) -> bool:

@@ -144,14 +144,43 @@ def side_presence(
     n = len(sides)
     if n == 0:
         return Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
+    controls = int(np.clip(np.ceil(controls_wanted / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
+    shares = np.r_[0.0, np.linspace(*CONTROL_RANGE, controls)]
+    support, half_px, at_px = support_beside(
+        picture, camera, cam_from_ground, grid, strip, sides, shares, tolerance_px
+    )
+    p = np.ones(n)
+    for family in (ALONG_X, ALONG_Y):
+        members = np.flatnonzero(sides.family == family)
+        members = members[np.argsort(half_px[members], kind="stable")]
+        for rows in np.array_split(members, max(1, min(SIZE_BINS, len(members) // BIN_AT_LEAST))):
+            beside = np.sort(support[1:, rows].ravel())
+            above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
+            p[rows] = (1 + above) / (1 + len(beside))
+    beaten = (support[1:] >= support[0]).mean(0)
+    return Presence(sides, p, 2.0 * half_px, beaten, at_px)
+
+
+def support_beside(
+    picture: Float[np.ndarray, "h w"],
+    camera: Camera,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    strip: Strip,
+    sides: Sides,
+    shares: Float[np.ndarray, " k"],
+    tolerance_px: float = 1.5,
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+    """Support of places that lie so many shares of the spacing beside each side, the first of them on it.
+
+    With half the measured length of the sides in pixels, and where their middles are.
+    """
     across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
     middle, half = sides.ends.mean(1), 0.4 * np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1)
-    controls = int(np.clip(np.ceil(controls_wanted / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
-    places = [middle + f * across[:, None] * direction for f in (0.0, *np.linspace(*CONTROL_RANGE, controls))]
-    repeat = len(places)
+    n, repeat = len(sides), len(shares)
     stations = Stations(
-        ground=np.concatenate(places),
+        ground=np.concatenate([middle + share * across[:, None] * direction for share in shares]),
         half_length=np.tile(half, repeat),
         family=np.tile(sides.family, repeat),
         line=np.tile(sides.line, repeat),
@@ -170,18 +199,7 @@ def side_presence(
         np.clip(room, 3.0, 8.0),
         np.array(strip.polarity)[stations.family],
     )
-    support = support.reshape(repeat, n)
-    p = np.ones(n)
-    size = half * profiles.px_per_unit[:n]
-    for family in (ALONG_X, ALONG_Y):
-        members = np.flatnonzero(sides.family == family)
-        members = members[np.argsort(size[members], kind="stable")]
-        for rows in np.array_split(members, max(1, min(SIZE_BINS, len(members) // BIN_AT_LEAST))):
-            beside = np.sort(support[1:, rows].ravel())
-            above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
-            p[rows] = (1 + above) / (1 + len(beside))
-    beaten = (support[1:] >= support[0]).mean(0)
-    return Presence(sides, p, 2.0 * size, beaten, profiles.centre_px[:n])
+    return support.reshape(repeat, n), half * profiles.px_per_unit[:n], profiles.centre_px[:n]
 
 
 def presence_of(

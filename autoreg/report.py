@@ -6,6 +6,7 @@ import json
 import math
 import platform
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +167,7 @@ def versions() -> Report:
     return found
 
 
+@cache
 def _version(distribution: str) -> str | None:
     # It takes long to import, and is not needed before a photo is aligned.
     from importlib import metadata

@@ -31,6 +31,8 @@ from autoreg.rendering.objects import (
 )
 from autoreg.rendering.sun import Sun, sun_for
 from autoreg.rendering.surface import (
+    FEW_SEGMENTS,
+    SEGMENTS,
     Surface,
     about_z,
     box_surface,
@@ -49,6 +51,8 @@ _WHITEST = 0.85
 _BOUNCE = 0.4
 # Part of the light that usual paving throws back: by it the photo's exposure is judged.
 _PAVING_ALBEDO = 0.5
+# Shapes that look the same however they are turned.
+_ROUND = (Sphere, Cylinder, Cone, Torus)
 
 
 @dataclass(frozen=True)
@@ -74,11 +78,17 @@ class Solid:
         return self.own_surface.moved(self.turn_rad, self.foot)
 
     @cached_property
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """Points all over it in the ground frame, the outermost ones along every axis among them."""
+        # Without a render nothing else of the surface is needed. What is round may stay unturned.
+        if isinstance(self.source.shape, _ROUND):
+            return surface_of(self.source.shape, FEW_SEGMENTS).corners.reshape(-1, 3) + self.foot
+        return (self.own_surface.corners @ about_z(self.turn_rad).T + self.foot).reshape(-1, 3)
+
+    @cached_property
     def corners(self) -> Float[np.ndarray, "8 3"]:
         """Corners of the box around it, in the ground frame."""
-        # Without a render nothing else of the surface is needed.
-        points = (self.own_surface.corners @ about_z(self.turn_rad).T + self.foot).reshape(-1, 3)
-        low, high = points.min(0), points.max(0)
+        low, high = self.points.min(0), self.points.max(0)
         pick = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), -1).reshape(8, 3)
         return np.where(pick == 0, low, high)
 
@@ -118,19 +128,19 @@ class Staging:
     focus: Focus | None = None
 
 
-def surface_of(shape: Shape) -> Surface:
-    """The triangles of a shape, standing on Z = 0 around the origin."""
+def surface_of(shape: Shape, segments: int = SEGMENTS) -> Surface:
+    """The triangles of a shape, standing on Z = 0 around the origin; a full circle has so many pieces."""
     match shape:
         case Box(size):
             return box_surface(size)
         case Sphere(radius):
-            return sphere_surface(radius)
+            return sphere_surface(radius, segments)
         case Cylinder(radius, height):
-            return frustum_surface(radius, radius, height)
+            return frustum_surface(radius, radius, height, segments)
         case Cone(radius, height, top):
-            return frustum_surface(radius, top, height)
+            return frustum_surface(radius, top, height, segments)
         case Torus(radius, tube):
-            return torus_surface(radius, tube)
+            return torus_surface(radius, tube, segments)
         case Text(text, height, depth, font):
             # Only scenes with letters need what reads fonts.
             from autoreg.rendering.letters import text_surface
@@ -247,8 +257,7 @@ def _assert_seen(solid: Solid, view: View, lattice: Lattice) -> None:
         and (view.eye < solid.corners.max(0)).all()
     ):
         raise InputError(f"{name}: the camera stands inside it; make it smaller or move it away")
-    points = solid.surface.corners.reshape(-1, 3)
-    px = view.project(points[:: max(1, len(points) // 20_000)])
+    px = view.project(solid.points[:: max(1, len(solid.points) // 20_000)])
     seen = ((px > -0.5) & (px < [c.width - 0.5, c.height - 0.5])).all(1)
     # Large triangles may cross the picture with all of their corners outside.
     if not seen.any() and np.isfinite(px).all():

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-# Pieces of a full circle: a ball that is 1000 pixels wide then differs from its outline by 0.04 pixels.
-SEGMENTS = 256
-_ARC = 64
+# Pieces of a full circle: a ball that is 1000 pixels wide then differs from its outline by 0.04 pixels. Few
+# do where only its place and its bounds are asked for, which are exact since quarters have whole pieces.
+SEGMENTS, FEW_SEGMENTS = 256, 32
 
 
 @dataclass(frozen=True)
@@ -81,31 +81,31 @@ def box_surface(size: tuple[float, float, float]) -> Surface:
     return Surface(corners, flat_normals(corners), uv)
 
 
-def sphere_surface(radius: float) -> Surface:
+def sphere_surface(radius: float, segments: int = SEGMENTS) -> Surface:
     """A ball on Z = 0."""
-    t = np.linspace(-np.pi / 2, np.pi / 2, SEGMENTS // 2 + 1)
+    t = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
     normals = np.stack([np.cos(t), np.sin(t)], -1)
-    return _revolved(radius * normals + [0.0, radius], normals)
+    return _revolved(radius * normals + [0.0, radius], normals, segments)
 
 
-def frustum_surface(radius: float, top: float, height: float) -> Surface:
+def frustum_surface(radius: float, top: float, height: float, segments: int = SEGMENTS) -> Surface:
     """An upright cone, frustum or cylinder on Z = 0, with its flat ends."""
     slope = np.array([height, radius - top]) / np.hypot(height, radius - top)
     down, up = np.array([0.0, -1.0]), np.array([0.0, 1.0])
     parts = [
-        _revolved(np.array([[0.0, 0.0], [radius, 0.0]]), np.stack([down, down])),
-        _revolved(np.array([[radius, 0.0], [top, height]]), np.stack([slope, slope])),
+        _revolved(np.array([[0.0, 0.0], [radius, 0.0]]), np.stack([down, down]), segments),
+        _revolved(np.array([[radius, 0.0], [top, height]]), np.stack([slope, slope]), segments),
     ]
     if top > 0:
-        parts.append(_revolved(np.array([[top, height], [0.0, height]]), np.stack([up, up])))
+        parts.append(_revolved(np.array([[top, height], [0.0, height]]), np.stack([up, up]), segments))
     return joined(parts)
 
 
-def torus_surface(radius: float, tube: float) -> Surface:
+def torus_surface(radius: float, tube: float, segments: int = SEGMENTS) -> Surface:
     """A ring that lies on Z = 0."""
-    t = np.linspace(-np.pi, np.pi, 2 * _ARC + 1)
+    t = np.linspace(-np.pi, np.pi, segments // 2 + 1)
     normals = np.stack([np.cos(t), np.sin(t)], -1)
-    return _revolved(tube * normals + [radius, tube], normals)
+    return _revolved(tube * normals + [radius, tube], normals, segments)
 
 
 def joined(parts: list[Surface]) -> Surface:
@@ -118,9 +118,9 @@ def joined(parts: list[Surface]) -> Surface:
     )
 
 
-def _revolved(profile: Float[np.ndarray, "m 2"], normals: Float[np.ndarray, "m 2"]) -> Surface:
+def _revolved(profile: Float[np.ndarray, "m 2"], normals: Float[np.ndarray, "m 2"], segments: int) -> Surface:
     """A profile (radius, height), walked upwards outside, turned about Z; u goes round, v along it."""
-    a = np.linspace(0.0, 2 * np.pi, SEGMENTS + 1)
+    a = np.linspace(0.0, 2 * np.pi, segments + 1)
     around = np.stack([np.cos(a), np.sin(a)], -1)
 
     def turned(rz: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "k m 3"]:
@@ -135,5 +135,5 @@ def _revolved(profile: Float[np.ndarray, "m 2"], normals: Float[np.ndarray, "m 2
     ]
     # At the axis one of the two triangles of each quad has no area.
     off_axis = profile[:, 0] > 1e-9 * profile[:, 0].max()
-    lower, upper = (np.tile(ends, SEGMENTS) for ends in (off_axis[:-1], off_axis[1:]))
+    lower, upper = (np.tile(ends, segments) for ends in (off_axis[:-1], off_axis[1:]))
     return Surface(*(np.concatenate([q[lower][:, [0, 1, 2]], q[upper][:, [0, 2, 3]]]) for q in quads))
