@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_sides import made_presence
+from made_sides import made_presence, presence_with
 
 from autoreg.lattice_choice import departs
-from autoreg.patterns import best_pattern
+from autoreg.patterns import best_pattern, broken
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, slab_sides
 
 
@@ -41,3 +41,24 @@ def test_regular_gaps_speak_against_a_lattice_and_random_ones_do_not(family: int
     regular = (sides.family != family) | (sides.line % 2 == 0)
     assert departs(made_presence(regular))
     assert not departs(made_presence(np.random.default_rng(3).uniform(size=len(sides)) > 0.3))
+
+
+@pytest.mark.parametrize("worn", [0.0, 0.3])
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_joints_that_break_off_as_those_of_herringbone_are_told_from_worn_ones(family: int, worn: float):
+    rng = np.random.default_rng(7)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 20.0))
+    # In no order: of sides of one size it is the first half that is looked at.
+    sides = sides.take(rng.permutation(len(sides)))
+    # Blocks two squares long: every fourth side would cut one, a square farther on in every course.
+    cuts = (sides.family == family) & ((sides.line - sides.cell) % 4 == 2)
+    seen = rng.uniform(size=len(sides)) > worn
+
+    def presence(there: np.ndarray):
+        p = np.where(there, rng.beta(0.2, 2.0, len(sides)), rng.uniform(size=len(sides)))
+        return presence_with(sides, np.maximum(p, 1e-3))
+
+    assert broken(presence(seen & ~cuts), family)
+    assert not broken(presence(seen & ~cuts), ALONG_X + ALONG_Y - family)
+    for _ in range(5):
+        assert not broken(presence(rng.uniform(size=len(sides)) > worn), family)
