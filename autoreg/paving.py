@@ -1,21 +1,18 @@
-"""From a hypothesis of the ground's orientation to the slab lattice that lies on it.
+"""From the combs on a hypothesised ground to the slab lattice that lies on it.
 
-The two families of joints are found as combs on the rectified ground; their common pose is refined by the
-joints themselves; then the presence of every single slab side tells the bond.
+The common pose of both families of joints is refined by the joints themselves; then the presence of every
+single slab side tells the bond.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from autoreg.bond import BondHypothesis, bond_hypotheses
-from autoreg.camera import Camera
 from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
@@ -23,12 +20,11 @@ from autoreg.ground_frame import turned
 from autoreg.lattice_choice import Paving, hopeful, settle_bond
 from autoreg.multiples import divided, slabs_in_one
 from autoreg.periods import Comb, best_combs
+from autoreg.plane_combs import PlaneCombs
 from autoreg.presence import field_polygon, presence_of
-from autoreg.rectify import Window, near_reach, rectify
+from autoreg.rectify import near_reach, rectify
 from autoreg.refine import refine
-from autoreg.segments import Segments
-from autoreg.sharpen import sharpen
-from autoreg.sight import Look, Looks
+from autoreg.sight import Looks
 from autoreg.stations import Grid, visible_sides
 
 # Beyond this margin no other start is tried.
@@ -41,112 +37,10 @@ STATIONS = 700
 OUTWARDS, FIELD_REACH, IN_FIELD_ROUNDS = (2.5, 4.0, 7.0), 9.0, 3
 # Where a round of a fit that looks farther moves its joints by less than this, farther ones are as expected.
 STEADY_PX = 0.1
-# Grounds that are looked at a second time.
-SHARPENED = 6
-# What is seen around the field of a comb when it is looked at by itself, in spacings, and the choice's price.
-ZOOM_MARGIN, ZOOM_NATS = 2.0, 2.0
 # Sides that tell whether a start is worth following.
 GLANCE_SIDES = 600
-# Planes whose joints carry less than this are not worth another start, ...
+# Planes whose joints carry less than this are not worth another start.
 HOPELESS_NATS = 8.0
-# ... and the first one is tried before all others are looked at, if it carries this much.
-PROMISING_NATS = 15.0
-
-
-@dataclass(frozen=True)
-class PlaneCombs:
-    """One ground hypothesis with the joints found on it; the camera is the photo's."""
-
-    camera: Camera
-    R: Float[np.ndarray, "3 3"]
-    x: tuple[Comb, ...]
-    y: tuple[Comb, ...]
-
-    @property
-    def score(self) -> float:
-        """How much better the two best combs explain the plane than chance does."""
-        return sum((combs[0].score for combs in (self.x, self.y) if combs), 0.0)
-
-
-Hypothesis = tuple[Camera, Float[np.ndarray, "3 3"]]
-_Interval = tuple[float, float]
-
-
-def promising_plane(looks: Looks, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
-    """The first hypothesis, if its joints are clear as it came."""
-    for look in (looks.coarse, looks.fine) if hypotheses else ():
-        plane = _combed(look, *hypotheses[0], local=False)
-        if plane is not None and plane.score > PROMISING_NATS:
-            return plane
-    return None
-
-
-def comb_planes(
-    looks: Looks, segments: Segments, hypotheses: list[Hypothesis], *, free_focal: bool
-) -> list[PlaneCombs]:
-    """The joints of both families on the hypothesised grounds, the planes with the clearest joints first.
-
-    Those that are clearest as they came are sharpened, and looked at again.
-    """
-    # Most of it is done in numpy and OpenCV, which lets the planes go side by side.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        raw = list(pool.map(lambda hypothesis: _combed(looks.fine, *hypothesis), hypotheses))
-        planes = sorted((plane for plane in raw if plane is not None), key=lambda plane: -plane.score)
-        again = pool.map(
-            lambda plane: _sharpened(looks, segments, plane, free_focal=free_focal), planes[:SHARPENED]
-        )
-        return sorted([*again, *planes[SHARPENED:]], key=lambda plane: -plane.score)
-
-
-def _sharpened(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_focal: bool) -> PlaneCombs:
-    """The plane with its joints lined up, looked at again as a whole and where they are clearest."""
-    sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
-    again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
-    best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
-    near = _zoomed(looks.fine, best)
-    return near if near is not None and near.score > best.score else best
-
-
-def _combed(
-    look: Look, camera: Camera, R: Float[np.ndarray, "3 3"], *, local: bool = True
-) -> PlaneCombs | None:
-    rectified = rectify(look.gradient, camera.scaled(*look.gradient.size), R, size=look.lines)
-    if rectified is None:
-        return None
-    return PlaneCombs(camera, R, best_combs(rectified.x, local=local), best_combs(rectified.y, local=local))
-
-
-def _zoomed(look: Look, plane: PlaneCombs) -> PlaneCombs | None:
-    """The plane with the combs of both families where its clearest local comb lies."""
-    families = enumerate((plane.x, plane.y))
-    local = [(comb, axis) for axis, combs in families for comb in combs if np.isfinite(comb.lines).all()]
-    if not local:
-        return None
-    comb, axis = max(local, key=lambda pair: pair[0].score)
-    margin = ZOOM_MARGIN * comb.spacing
-    across, along = (comb.lines[0] - margin, comb.lines[1] + margin), comb.along
-    x, y = (along, across) if axis == 0 else (across, along)
-    window = Window((x[0], y[0]), (x[1], y[1]))
-    rectified = rectify(
-        look.gradient, plane.camera.scaled(*look.gradient.size), plane.R, size=look.lines, window=window
-    )
-    if rectified is None:
-        return None
-    families = (best_combs(family, local=True) for family in (rectified.x, rectified.y))
-    x_combs, y_combs = (
-        tuple(_within(replace(c, score=c.score - ZOOM_NATS), lines, reach) for c in combs)
-        for combs, lines, reach in zip(families, (y, x), (x, y), strict=True)
-    )
-    return replace(plane, x=x_combs, y=y_combs)
-
-
-def _within(comb: Comb, lines: _Interval, along: _Interval) -> Comb:
-    """A comb with its field cut to a part of the ground."""
-    return replace(comb, lines=_overlap(comb.lines, lines), along=_overlap(comb.along, along))
-
-
-def _overlap(a: _Interval, b: _Interval) -> _Interval:
-    return max(a[0], b[0]), min(a[1], b[1])
 
 
 def lay_combs(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:

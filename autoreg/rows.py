@@ -19,7 +19,8 @@ from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned, with_origin
 from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving, line_evidence
 from autoreg.patterns import best_pattern
-from autoreg.paving import PlaneCombs, fit_outwards, refine_in_field
+from autoreg.paving import fit_outwards, refine_in_field
+from autoreg.plane_combs import PlaneCombs
 from autoreg.presence import Presence, field_polygon, presence_of
 from autoreg.segments import Segments
 from autoreg.stations import ALONG_X, Grid

@@ -10,14 +10,14 @@ from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.lattice_choice import Paving, rival, suited
-from autoreg.paving import (
-    CERTAIN_NATS,
+from autoreg.paving import CERTAIN_NATS, lay_combs, lay_lattice
+from autoreg.plane_combs import (
+    PROMISING_NATS,
     Hypothesis,
     PlaneCombs,
     comb_planes,
-    lay_combs,
-    lay_lattice,
     promising_plane,
+    with_other_focals,
 )
 from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.rows import Rows, lay_rows
@@ -27,6 +27,8 @@ from autoreg.sight import Looks, Sight
 # Ground hypotheses that are taken from the segments, with a camera and without, and how many of them are
 # looked into, those with the clearest joints first.
 HYPOTHESES, HYPOTHESES_NO_FOCAL, MOST_PLANES = 8, 12, 3
+# Where none of them has a lattice, so many other focal lengths of the clearest one are looked into.
+MOST_FOCALS = 5
 # What is known of an uncalibrated camera's first radial distortion coefficient, which curved joints tell.
 RADIAL_SIGMA = 0.1
 
@@ -72,8 +74,22 @@ def find_paving(
             if _certain(best):
                 break
         if not best or best[0].margin_nats <= 0:
-            return _find_rows(looks, segments, sight.size, ranked, best)
+            plain = suitable(_by_other_focals(looks, ranked, free)) if camera is None else ()
+            if not _certain(plain):
+                return _find_rows(looks, segments, sight.size, ranked, best)
+            best = plain
     return _unrivalled(best)
+
+
+def _by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tuple[Paving, ...]:
+    """Lattices that are plain to see on the clearest plane by another focal length, if any are."""
+    if not planes or planes[0].score < PROMISING_NATS:
+        return ()
+    for plane in with_other_focals(looks, planes[0])[:MOST_FOCALS]:
+        pavings = lay_lattice(looks, plane, free)
+        if _certain(pavings):
+            return pavings
+    return ()
 
 
 def _certain(pavings: tuple[Paving, ...]) -> bool:

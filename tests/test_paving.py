@@ -12,7 +12,8 @@ from autoreg.ground_frame import with_origin
 from autoreg.joint_looks import Strip
 from autoreg.lattice_choice import Paving, rival, same_lattice, settle_bond, with_pattern
 from autoreg.patterns import Pattern
-from autoreg.paving import comb_planes, fills, lay_lattice, refine_in_field
+from autoreg.paving import fills, lay_lattice, refine_in_field
+from autoreg.plane_combs import comb_planes
 from autoreg.presence import field_polygon, presence_of
 from autoreg.segments import detect_segments
 from autoreg.sight import looks_at

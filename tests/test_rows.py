@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from paved import CAMERA, STACK
 
-from autoreg.paving import PlaneCombs, comb_planes
+from autoreg.plane_combs import PlaneCombs, comb_planes
 from autoreg.rows import Rows, lay_rows
 from autoreg.segments import Segments, detect_segments
 from autoreg.sight import looks_at

@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from paved import HALF_BOND
+
+from autoreg import search
+from autoreg.camera import Camera
+from autoreg.geometry import angle_between_rotations
+from autoreg.lattice_choice import Paving
+from autoreg.plane_combs import OTHER_FOCALS, PlaneCombs, comb_planes, with_other_focals
+from autoreg.sight import Sight, see
+from autoreg.synthetic import SyntheticPhoto, render_paving
+
+# Long bricks, whose short joints tell little of where they vanish.
+BRICKS = replace(HALF_BOND, spacing_m=(0.4, 0.1), joint_width_m=0.006)
+
+
+@pytest.fixture(scope="module")
+def photo() -> SyntheticPhoto:
+    return render_paving(BRICKS)
+
+
+@pytest.fixture(scope="module")
+def sight(photo: SyntheticPhoto) -> Sight:
+    return see(photo.pixels.mean(-1).astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def plane(photo: SyntheticPhoto, sight: Sight) -> PlaneCombs:
+    hypothesis = (photo.camera, photo.cam_from_ground.R)
+    return comb_planes(sight.looks, sight.segments.take(np.zeros(0, int)), [hypothesis], free_focal=False)[0]
+
+
+def end_px(camera: Camera, direction: np.ndarray) -> np.ndarray:
+    image = camera.K @ direction
+    return image[:2] / image[2]
+
+
+def horizon(camera: Camera, up: np.ndarray) -> np.ndarray:
+    line = np.linalg.inv(camera.K).T @ up
+    return line / np.linalg.norm(line[:2])
+
+
+def test_by_another_focal_length_the_horizon_and_the_clearer_joints_end_stay(sight: Sight, plane: PlaneCombs):
+    found = with_other_focals(sight.looks, plane)
+    factors = sorted(other.camera.fx / plane.camera.fx for other in found)
+    assert factors == pytest.approx(OTHER_FOCALS)
+    assert [p.score for p in found] == sorted((p.score for p in found), reverse=True)
+    clearer = 0 if plane.x[0].score > plane.y[0].score else 1
+    for other in found:
+        assert np.abs(other.R.T @ other.R - np.eye(3)).max() < 1e-12
+        assert np.linalg.det(other.R) == pytest.approx(1.0)
+        assert other.camera.fy / other.camera.fx == pytest.approx(plane.camera.fy / plane.camera.fx)
+        before_px, after_px = (end_px(p.camera, p.R[:, clearer]) for p in (plane, other))
+        assert after_px == pytest.approx(before_px, abs=1e-6)
+        lines = [horizon(p.camera, p.R[:, 2]) for p in (plane, other)]
+        assert lines[0] == pytest.approx(lines[1], abs=1e-9)
+
+
+def test_the_true_focal_length_is_among_those_of_a_plane_that_has_a_wrong_one(
+    sight: Sight, plane: PlaneCombs
+):
+    wrong = next(
+        p
+        for p in with_other_focals(sight.looks, plane)
+        if p.camera.fx == pytest.approx(0.8 * plane.camera.fx)
+    )
+    right = next(
+        p for p in with_other_focals(sight.looks, wrong) if p.camera.fx == pytest.approx(plane.camera.fx)
+    )
+    assert np.rad2deg(angle_between_rotations(right.R, plane.R)) < 1e-6
+    assert right.score > wrong.score
+
+
+def test_a_lattice_is_found_by_another_focal_length_than_that_of_the_segments(
+    photo: SyntheticPhoto, sight: Sight, plane: PlaneCombs, monkeypatch: pytest.MonkeyPatch
+):
+    free, _ = search._hypotheses(sight.segments, sight.size, None)
+    wrong = next(
+        p
+        for p in with_other_focals(sight.looks, plane)
+        if p.camera.fx == pytest.approx(0.6 * plane.camera.fx)
+    )
+    monkeypatch.setattr(search, "_hypotheses", lambda *_: (free, [(wrong.camera, wrong.R)]))
+    # Neither are the joints lined up by the segments.
+    monkeypatch.setattr(search, "comb_planes", lambda *_, **__: [wrong])
+    found = search.find_paving(sight, None)
+    assert isinstance(found, Paving)
+    assert found.grid.shift == pytest.approx(0.5)
+    assert (found.grid.spacing_x or 0.0) / found.grid.spacing_y == pytest.approx(4.0, rel=0.02)
+    camera = found.fit.camera
+    assert camera.fx / camera.width == pytest.approx(photo.camera.fx / photo.camera.width, rel=0.02)
