@@ -205,6 +205,11 @@ METRICS: tuple[Metric, ...] = (
     Metric("real.wrong", "photos aligned as what they are known not to be", "", goal=0.0, relative=0.0),
     Metric("real.aligned", "paved photos aligned as expected", "", "higher", relative=0.0),
     Metric("real.refused", "pictures of other things that are refused", "", "higher", relative=0.0),
+    # variants
+    Metric(
+        "variants.contradicted", "answers that contradict the unchanged photo's", "%", goal=0.0, absolute=0.5
+    ),
+    Metric("variants.kept", "aligned photos that are aligned alike, changed", "%", "higher", absolute=2.0),
 )
 
 

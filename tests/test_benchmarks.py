@@ -33,7 +33,18 @@ from benchmarks.plots import draw_all
 from benchmarks.processes import run_timed
 from benchmarks.report import markdown, print_report
 from benchmarks.result import Plot, Result, Series, Table, read_results, to_json
-from benchmarks.suites import NAMES, NOT_QUICK, UnknownSuite, chosen, real, robust, scenes, speed, vanishing
+from benchmarks.suites import (
+    NAMES,
+    NOT_QUICK,
+    UnknownSuite,
+    chosen,
+    real,
+    robust,
+    scenes,
+    speed,
+    vanishing,
+    variants,
+)
 from benchmarks.suites.limit import scene as limit_scene
 from benchmarks.suites.robust import within
 from benchmarks.suites.thesis import minutes_by_hand
@@ -290,7 +301,7 @@ def test_the_documentation_takes_the_full_run_where_there_is_one_and_says_which(
     text = markdown(results, judged, PLACE)
     assert "- Ran in full: limit." in text
     assert "- Ran with `--quick`, few seeds and small pictures: truth." in text
-    assert "- Not run: refine, robust, vanishing, thesis, speed, scenes, real." in text
+    assert "- Not run: refine, robust, vanishing, thesis, speed, scenes, real, variants." in text
 
 
 def test_a_command_repeats_the_options_that_matter(tmp_path: Path):
@@ -482,6 +493,7 @@ def test_a_missing_database_is_skipped_with_a_word(tmp_path: Path):
     )
     assert "--yorkurban" in (vanishing.run(options).skipped or "")
     assert "--photos" in (real.run(options).skipped or "")
+    assert "--photos" in (variants.run(options).skipped or "")
     assert "--scenes" in (scenes.run(options).skipped or "")
 
 
@@ -571,6 +583,44 @@ def test_a_photo_is_judged_by_what_is_known_of_it():
     assert real.agrees(alignment(pose), square)
     assert not real.agrees(alignment(pose, (0.6, 0.4)), square)
     assert not real.agrees(alignment(pose), real.Expected(("running", "rows")))
+
+
+def test_an_answer_is_the_same_in_any_unit_and_of_no_multiple_of_the_slabs():
+    pose = SyntheticScene().cam_from_ground
+    base = alignment(pose, (0.6, 0.4))
+    turned = alignment(Rigid(pose.R, 2.0 * pose.t), (0.8, 1.2))
+    assert variants.same_ground(base, turned, 1e-9)
+    assert not variants.same_ground(base, alignment(pose, (1.2, 0.4)), variants.PART_TOLERANCE)
+    bond = replace(base, lattice=replace(base.lattice, kind="running", shift=0.5))
+    assert not variants.same_ground(base, bond, variants.PART_TOLERANCE)
+    rows = replace(base, lattice=replace(base.lattice, kind="rows", spacing_x=None, shift=None))
+    assert variants.same_ground(base, rows, 1e-9)
+    assert variants.same_ground(rows, alignment(pose, (0.4, 0.9)), 1e-9)
+    assert not variants.same_ground(rows, alignment(pose, (0.9, 0.9)), variants.WHOLE_TOLERANCE)
+
+
+def test_what_a_changed_photo_became_is_held_against_the_photo_as_it_is():
+    mirrored = variants.VARIANTS[0]
+    found = alignment(SyntheticScene().cam_from_ground)
+    other = alignment(SyntheticScene().cam_from_ground, (2.0, 0.4))
+    assert variants._became(found, None, mirrored, True) == "refused"
+    assert variants._became(None, found, mirrored, True) == "stack?"
+    assert variants._became(None, found, mirrored, False) == "CONTRADICTED"
+    assert variants._became(found, other, mirrored, True) == "CONTRADICTED"
+    assert variants._became(found, found, mirrored, True) == "stack"
+
+
+def test_variants_of_a_photo_keep_its_kind_and_show_what_they_say():
+    gray = np.arange(200, dtype=np.uint8).reshape(10, 20)
+    made = {variant.name: variant.make(gray) for variant in variants.VARIANTS}
+    assert all(picture.dtype == np.uint8 and picture.ndim == 2 for picture in made.values())
+    assert (made["mirrored"][:, ::-1] == gray).all()
+    assert (made["left 70 %"] == gray[:, :14]).all()
+    assert (made["right 70 %"] == gray[:, 6:]).all()
+    assert (made["lower 70 %"] == gray[3:]).all()
+    assert made["0.6 times"].shape == (6, 12)
+    assert made["1.5 times"].shape == (15, 30)
+    assert (made["darker"] <= gray).all()
 
 
 def test_spoilt_photos_are_spoilt_by_the_share_that_is_asked_for():
