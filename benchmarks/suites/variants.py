@@ -146,9 +146,9 @@ def run(options: Options) -> Result:
         "variants",
         about=(
             f"{len(rows)} photos without a camera, as they are and changed in {len(VARIANTS)} ways. An "
-            "answer contradicts that of the photo as it is if the bond is another one or the slab's sides, in "
-            f"camera heights, differ by more than {WHOLE_TOLERANCE:.0%} ({PART_TOLERANCE:.0%} where the photo "
-            "is cut, which moves its principal point), or if it is one of a picture of something else. "
+            "answer contradicts that of the photo as it is if the bond is another one or the slab's sides, "
+            f"in camera heights, differ by more than {WHOLE_TOLERANCE:.0%} ({PART_TOLERANCE:.0%} where the "
+            "photo is cut, which moves its principal point), or if it is one of a picture of something else. "
             "'kind?' is an answer where the photo as it is was refused."
         ),
         figures=(
