@@ -24,8 +24,8 @@ LONG = 1.6
 # Sides that are looked at, the largest in the picture.
 LOOKED_AT = 100
 # How sure it must be that there are joints between, in standard deviations of chance, and how near to the
-# joints' own support theirs must come, from that of any place.
-SURE_SIGMAS, AS_CLEAR = 6.0, 0.5
+# joints' own support theirs must come, from that of any place. By a wrong perspective some are missed.
+SURE_SIGMAS, AS_CLEAR = 6.0, 0.33
 
 
 def divided(fit: Fit, family: int, count: int) -> Fit | None:
@@ -58,12 +58,15 @@ def slabs_in_one(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence
         picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, sides, shares
     )
     # Ranks among the places of one cell know nothing of its contrast: uniform, if no place differs.
-    rank = (np.argsort(np.argsort(support, axis=0, kind="stable"), axis=0) + 0.5) / len(shares)
+    # Those alike, as many without any support are, share their ranks.
+    less, alike = support[:, None] > support, support[:, None] == support
+    rank = (less + 0.5 * alike).mean(1)
     own, *others = rank.mean(1)
     mean = dict(zip(parts, others, strict=True))
-    for n in range(MOST, 1, -1):
+    best, found = SURE_SIGMAS, 1
+    for n in range(2, MOST + 1):
         there = np.array([mean[k // gcd(k, n), n // gcd(k, n)] for k in range(1, n)])
         sigmas = (there.mean() - 0.5) * np.sqrt(12.0 * len(sides) * len(there))
-        if sigmas > SURE_SIGMAS and there.mean() - 0.5 > AS_CLEAR * (own - 0.5):
-            return family, n
-    return family, 1
+        if sigmas > best and there.mean() - 0.5 > AS_CLEAR * (own - 0.5):
+            best, found = sigmas, n
+    return family, found
