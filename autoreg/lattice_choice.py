@@ -15,6 +15,7 @@ from jaxtyping import Float
 from autoreg.bond import customary_shift
 from autoreg.fit import Fit
 from autoreg.ground_frame import turned, with_origin
+from autoreg.multiples import divided
 from autoreg.patterns import Pattern, best_pattern, broken
 from autoreg.presence import Presence, presence_of
 from autoreg.side_by_side import side_by_side
@@ -190,26 +191,23 @@ def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
         return None
     families = (ALONG_Y,) if fit.grid.shift else (ALONG_X, ALONG_Y)
     for factor in (2, 3):
-        finer = partial(_divided, picture, fit, fit.grid.spacing_x, factor)
+        finer = partial(_finer, picture, fit, factor)
         found = next((f for f in side_by_side(finer, families) if f is not None), None)
         if found is not None:
             return found
     return None
 
 
-def _divided(
-    picture: Float[np.ndarray, "h w"], fit: Fit, spacing_x: float, factor: int, family: int
-) -> Fit | None:
+def _finer(picture: Float[np.ndarray, "h w"], fit: Fit, factor: int, family: int) -> Fit | None:
     """The fit with so many times as many joints of a family, or some of them, if these are there."""
-    grid = fit.grid
-    a = spacing_x / (factor if family == ALONG_Y else 1)
-    b = grid.spacing_y / (factor if family == ALONG_X else 1)
-    fine = replace(fit, grid=Grid(a, b, (grid.shift * factor) % 1.0 if grid.shift else 0.0))
+    fine = divided(fit, family, factor)
+    if fine is None:
+        return None
     presence = presence_of(
         picture, fine, limit=SUBDIVIDE_SIDES, only=family, controls_wanted=SUBDIVIDE_CONTROLS
     )
     best = best_pattern(presence, family)
-    same = (factor, _carry(grid, factor), 0)
+    same = (factor, _carry(fit.grid, factor), 0)
     known = next(p for p in best if (p.period, p.advance, p.phase) == same)
     if best[0].score - known.score <= SUBDIVIDE_NATS:
         return None

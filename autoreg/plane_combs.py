@@ -65,14 +65,20 @@ def comb_planes(
 
     Those that are clearest as they came are sharpened, and looked at again.
     """
-    # Most of it is done in numpy and OpenCV, which lets the planes go side by side.
+    planes = _clearest_first(looks, hypotheses)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        raw = list(pool.map(lambda hypothesis: _combed(looks.fine, *hypothesis), hypotheses))
-        planes = sorted((plane for plane in raw if plane is not None), key=lambda plane: -plane.score)
         again = pool.map(
             lambda plane: _sharpened(looks, segments, plane, free_focal=free_focal), planes[:SHARPENED]
         )
         return sorted([*again, *planes[SHARPENED:]], key=lambda plane: -plane.score)
+
+
+def _clearest_first(looks: Looks, hypotheses: list[Hypothesis]) -> list[PlaneCombs]:
+    """The joints of the hypothesised grounds as they came, the planes with the clearest ones first."""
+    # Most of it is done in numpy and OpenCV, which lets the planes go side by side.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        planes = pool.map(lambda hypothesis: _combed(looks.fine, *hypothesis), hypotheses)
+        return sorted((plane for plane in planes if plane is not None), key=lambda plane: -plane.score)
 
 
 def _sharpened(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_focal: bool) -> PlaneCombs:
@@ -133,10 +139,7 @@ def with_other_focals(looks: Looks, plane: PlaneCombs) -> list[PlaneCombs]:
     they vanish, and so the focal length, much worse than the rows do.
     """
     clearer = 0 if _score(plane.x) > _score(plane.y) else 1
-    hypotheses = [_by_focal(plane, factor, clearer) for factor in OTHER_FOCALS]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        planes = pool.map(lambda hypothesis: _combed(looks.fine, *hypothesis), hypotheses)
-        return sorted((p for p in planes if p is not None), key=lambda p: -p.score)
+    return _clearest_first(looks, [_by_focal(plane, factor, clearer) for factor in OTHER_FOCALS])
 
 
 def _by_focal(plane: PlaneCombs, factor: float, axis: int) -> Hypothesis:

@@ -34,6 +34,12 @@ def plane(photo: SyntheticPhoto, sight: Sight) -> PlaneCombs:
     return comb_planes(sight.looks, sight.segments.take(np.zeros(0, int)), [hypothesis], free_focal=False)[0]
 
 
+def by_focal(sight: Sight, plane: PlaneCombs, focal_px: float) -> PlaneCombs:
+    """The plane by another focal length, which must be one of those that are looked at."""
+    others = with_other_focals(sight.looks, plane)
+    return next(other for other in others if other.camera.fx == pytest.approx(focal_px))
+
+
 def end_px(camera: Camera, direction: np.ndarray) -> np.ndarray:
     image = camera.K @ direction
     return image[:2] / image[2]
@@ -63,14 +69,8 @@ def test_by_another_focal_length_the_horizon_and_the_clearer_joints_end_stay(sig
 def test_the_true_focal_length_is_among_those_of_a_plane_that_has_a_wrong_one(
     sight: Sight, plane: PlaneCombs
 ):
-    wrong = next(
-        p
-        for p in with_other_focals(sight.looks, plane)
-        if p.camera.fx == pytest.approx(0.8 * plane.camera.fx)
-    )
-    right = next(
-        p for p in with_other_focals(sight.looks, wrong) if p.camera.fx == pytest.approx(plane.camera.fx)
-    )
+    wrong = by_focal(sight, plane, 0.8 * plane.camera.fx)
+    right = by_focal(sight, wrong, plane.camera.fx)
     assert np.rad2deg(angle_between_rotations(right.R, plane.R)) < 1e-6
     assert right.score > wrong.score
 
@@ -79,11 +79,7 @@ def test_a_lattice_is_found_by_another_focal_length_than_that_of_the_segments(
     photo: SyntheticPhoto, sight: Sight, plane: PlaneCombs, monkeypatch: pytest.MonkeyPatch
 ):
     free, _ = search._hypotheses(sight.segments, sight.size, None)
-    wrong = next(
-        p
-        for p in with_other_focals(sight.looks, plane)
-        if p.camera.fx == pytest.approx(0.6 * plane.camera.fx)
-    )
+    wrong = by_focal(sight, plane, 0.6 * plane.camera.fx)
     monkeypatch.setattr(search, "_hypotheses", lambda *_: (free, [(wrong.camera, wrong.R)]))
     # Neither are the joints lined up by the segments.
     monkeypatch.setattr(search, "comb_planes", lambda *_, **__: [wrong])

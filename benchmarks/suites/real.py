@@ -17,13 +17,12 @@ from autoreg.image import load_photo
 from autoreg.overlay import overlay_picture
 from benchmarks.metrics import Figure
 from benchmarks.options import Options
+from benchmarks.photos import photo_files, without_photos
 from benchmarks.result import Picture, Result, Table
 
-SUFFIXES = (".jpg", ".jpeg", ".png")
 TILE, COLUMNS = (400, 320), 5
 # Sides differ by no more than this from the ratio that the photo's slabs are known to have.
 RATIO_TOLERANCE = 0.12
-QUICK_PHOTOS = 3
 
 
 @dataclass(frozen=True)
@@ -137,20 +136,9 @@ def contact_sheet(seen: list[Seen]) -> UInt8[np.ndarray, "h w 3"]:
 
 def run(options: Options) -> Result:
     """Every photo of the folder."""
-    files = [
-        (path, kind == "paved")
-        for kind in ("paved", "refuse")
-        for path in sorted((options.photos / kind).glob("*"))
-        if path.suffix.lower() in SUFFIXES
-    ]
+    files = photo_files(options)
     if not files:
-        return Result(
-            "real",
-            skipped=f"{options.photos} has no photos in paved/ or refuse/ (--photos DIR)",
-            absent=options.is_absent("photos"),
-        )
-    if options.quick:
-        files = files[:QUICK_PHOTOS]
+        return without_photos("real", options)
     seen = [look_at(path, paved=paved) for path, paved in files]
     sheet = options.out / "real.png"
     cv2.imwrite(str(sheet), contact_sheet(seen))

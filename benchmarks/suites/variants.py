@@ -18,8 +18,8 @@ from autoreg.errors import Refusal
 from autoreg.image import load_photo
 from benchmarks.metrics import Figure
 from benchmarks.options import Options
+from benchmarks.photos import photo_files, without_photos
 from benchmarks.result import Result, Table
-from benchmarks.suites.real import SUFFIXES
 
 Gray = UInt8[np.ndarray, "h w"]
 
@@ -28,7 +28,6 @@ Gray = UInt8[np.ndarray, "h w"]
 WHOLE_TOLERANCE, PART_TOLERANCE = 0.15, 0.5
 # Larger photos are looked at in this size.
 MOST_PIXELS = 3e6
-QUICK_PHOTOS = 3
 
 
 @dataclass(frozen=True)
@@ -118,20 +117,11 @@ def _became(base: Alignment | None, found: Alignment | None, variant: Variant, p
 
 def run(options: Options) -> Result:
     """Every photo of the folder, in every variant."""
-    files = [
-        (path, kind == "paved")
-        for kind in ("paved", "refuse")
-        for path in sorted((options.photos / kind).glob("*"))
-        if path.suffix.lower() in SUFFIXES
-    ]
+    files = photo_files(options)
     if not files:
-        return Result(
-            "variants",
-            skipped=f"{options.photos} has no photos in paved/ or refuse/ (--photos DIR)",
-            absent=options.is_absent("photos"),
-        )
+        return without_photos("variants", options)
     rows: list[tuple[str, ...]] = []
-    for path, paved in files[:QUICK_PHOTOS] if options.quick else files:
+    for path, paved in files:
         gray = load_photo(path).gray
         if gray.size > MOST_PIXELS:
             gray = resized(gray, float(np.sqrt(MOST_PIXELS / gray.size)))
