@@ -16,7 +16,7 @@ from autoreg.bond import customary_shift
 from autoreg.fit import Fit
 from autoreg.ground_frame import turned, with_origin
 from autoreg.multiples import divided
-from autoreg.patterns import Pattern, best_pattern, broken
+from autoreg.patterns import Pattern, best_pattern, broken, outstanding, true_sides
 from autoreg.presence import Presence, presence_of
 from autoreg.side_by_side import side_by_side
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
@@ -132,7 +132,7 @@ def settle_bond(
         if best is None:
             return None
         fit, presence = best.fit, best.presence
-        along_x, along_y = best_pattern(presence, ALONG_X)[0], best_pattern(presence, ALONG_Y)[0]
+        along_x, along_y = true_sides(presence, ALONG_X), true_sides(presence, ALONG_Y)
         changed = with_pattern(fit, along_x, along_y)
         if changed is None:
             changed = _subdivided(picture, fit)
@@ -209,7 +209,7 @@ def _finer(picture: Float[np.ndarray, "h w"], fit: Fit, factor: int, family: int
     best = best_pattern(presence, family)
     same = (factor, _carry(fit.grid, factor), 0)
     known = next(p for p in best if (p.period, p.advance, p.phase) == same)
-    if best[0].score - known.score <= SUBDIVIDE_NATS:
+    if best[0].score - known.score <= SUBDIVIDE_NATS or outstanding(presence, family) is not None:
         return None
     whole = Pattern(1, 0, 0, 0.0)
     x, y = (best[0], whole) if family == ALONG_X else (whole, best[0])

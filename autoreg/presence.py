@@ -54,7 +54,7 @@ CORE_DENSITY, RIM_DENSITY, NEIGHBOURS, RIM = 0.75, 0.55, 1.6, 0.8
 
 @dataclass(frozen=True)
 class Presence:
-    """Support of each side: `p` its p-value among all controls, `size_px` its length, `at_px` its place.
+    """The `support` of each side, `p`, its p-value among all controls, its length and place in the picture.
 
     `beaten` is the share of its own controls that have as much support. In clutter beside smooth slabs any
     place has more than most controls, but no more than its own.
@@ -63,6 +63,7 @@ class Presence:
     sides: Sides
     p: Float[np.ndarray, " n"]
     size_px: Float[np.ndarray, " n"]
+    support: Float[np.ndarray, " n"]
     beaten: Float[np.ndarray, " n"]
     at_px: Float[np.ndarray, "n 2"]
 
@@ -94,7 +95,12 @@ class Presence:
     def take(self, rows: np.ndarray) -> Presence:
         """The chosen sides."""
         return Presence(
-            self.sides.take(rows), self.p[rows], self.size_px[rows], self.beaten[rows], self.at_px[rows]
+            self.sides.take(rows),
+            self.p[rows],
+            self.size_px[rows],
+            self.support[rows],
+            self.beaten[rows],
+            self.at_px[rows],
         )
 
     @cached_property
@@ -143,7 +149,8 @@ def side_presence(
     sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit, only=only)
     n = len(sides)
     if n == 0:
-        return Presence(sides, np.zeros(0), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
+        none = np.zeros(0)
+        return Presence(sides, none, none, none, none, np.zeros((0, 2)))
     controls = int(np.clip(np.ceil(controls_wanted / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
     shares = np.r_[0.0, np.linspace(*CONTROL_RANGE, controls)]
     support, half_px, at_px = support_beside(
@@ -158,7 +165,7 @@ def side_presence(
             above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
             p[rows] = (1 + above) / (1 + len(beside))
     beaten = (support[1:] >= support[0]).mean(0)
-    return Presence(sides, p, 2.0 * half_px, beaten, at_px)
+    return Presence(sides, p, 2.0 * half_px, support[0], beaten, at_px)
 
 
 def support_beside(

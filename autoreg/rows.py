@@ -18,7 +18,7 @@ from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned, with_origin
 from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving, line_evidence
-from autoreg.patterns import best_pattern
+from autoreg.patterns import true_sides
 from autoreg.paving import fit_outwards, refine_in_field
 from autoreg.plane_combs import PlaneCombs
 from autoreg.presence import Presence, field_polygon, presence_of
@@ -107,7 +107,7 @@ def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) 
         presence = presence_of(picture, fit)
         if len(presence.p) < 6:
             return None
-        pattern = best_pattern(presence, ALONG_X)[0]
+        pattern = true_sides(presence, ALONG_X)
         if pattern.period == 1 or pattern.advance:
             return refine_in_field(picture, fit, field_polygon(presence))
         wider = Grid(None, fit.grid.spacing_y * pattern.period)

@@ -8,11 +8,14 @@ from autoreg.presence import Presence
 from autoreg.stations import Grid, Sides, slab_sides
 
 
-def presence_with(sides: Sides, p: np.ndarray, beaten: np.ndarray | None = None) -> Presence:
-    """Sides of one size with given p-values."""
+def presence_with(
+    sides: Sides, p: np.ndarray, beaten: np.ndarray | None = None, support: np.ndarray | None = None
+) -> Presence:
+    """Sides of one size with given p-values, which tell their support if that is not given."""
     n = len(sides)
     none = np.zeros(n) if beaten is None else beaten
-    return Presence(sides, p, np.full(n, 20.0), none, 20.0 * sides.ends.mean(1))
+    support = 1.0 - p if support is None else support
+    return Presence(sides, p, np.full(n, 20.0), support, none, 20.0 * sides.ends.mean(1))
 
 
 def made_presence(there: np.ndarray) -> Presence:

@@ -5,7 +5,8 @@ import pytest
 from made_sides import made_presence, presence_with
 
 from autoreg.lattice_choice import departs
-from autoreg.patterns import best_pattern, broken
+from autoreg.patterns import best_pattern, broken, outstanding, true_sides
+from autoreg.presence import Presence
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, slab_sides
 
 
@@ -21,6 +22,36 @@ def test_the_pattern_of_absent_sides_is_found(period: int, advance: int, phase: 
     assert (best.period, best.advance, best.phase) == (period, advance, phase)
     other = ALONG_Y if family == ALONG_X else ALONG_X
     assert best_pattern(made_presence(there), other)[0].period == 1
+
+
+def weakly_there(chosen: np.ndarray, weaker: float) -> Presence:
+    """Sides all of which are there, most of those that are not chosen so much weaker than the others."""
+    rng = np.random.default_rng(1)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    marked = rng.uniform(size=len(sides)) < 0.6
+    p = np.where(chosen | marked, 0.01, rng.uniform(size=len(sides)))
+    support = rng.normal(0.6, 0.1, len(sides)) - np.where(chosen, 0.0, weaker)
+    return presence_with(sides, p, support=np.where(chosen | marked, support, 0.1))
+
+
+@pytest.mark.parametrize(("period", "advance", "phase"), [(2, 0, 1), (2, 1, 0), (3, 0, 2), (3, 2, 1)])
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_joints_stand_out_from_weaker_marks_between_them(period: int, advance: int, phase: int, family: int):
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    chosen = (sides.family != family) | ((sides.line - sides.cell * advance) % period == phase)
+    presence = weakly_there(chosen, 0.2)
+    # So many are there that their absence would tell nothing.
+    assert best_pattern(presence, family)[0].period == 1
+    found = true_sides(presence, family)
+    assert (found.period, found.advance, found.phase) == (period, advance, phase)
+    other = ALONG_Y if family == ALONG_X else ALONG_X
+    assert outstanding(presence, other) is None
+
+
+def test_worn_joints_are_not_taken_for_marks_between_others():
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    # Every second one is worn away in places, and as strong as the others where it is not.
+    assert outstanding(weakly_there((sides.line % 2 == 0), 0.0), ALONG_X) is None
 
 
 def test_where_all_sides_are_there_none_is_left_out():

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from paved import GRAVEL, gray_of, misses, nudged
@@ -17,7 +18,7 @@ from autoreg.plane_combs import comb_planes
 from autoreg.presence import field_polygon, presence_of
 from autoreg.segments import detect_segments
 from autoreg.sight import looks_at
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, slab_sides
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground, slab_sides, visible_sides
 from autoreg.synthetic import SyntheticPhoto
 
 ALL = Pattern(1, 0, 0, 0.0)
@@ -121,6 +122,26 @@ def test_too_fine_and_too_coarse_lattices_settle_on_the_one_that_is_there(
     angle_deg, crossing_px = misses(settled.fit.cam_from_ground, spacing_of(settled.fit), photo)
     assert angle_deg < 0.01
     assert crossing_px < 0.1
+
+
+@pytest.mark.parametrize(("share", "darker"), [(0.4, 4.0), (0.55, 12.0), (0.7, 30.0)])
+@pytest.mark.parametrize("rows", [1, 2], ids=["from the slabs", "from half the rows"])
+def test_marks_half_way_between_the_joints_do_not_halve_the_slabs(
+    share: float, darker: float, rows: int, stack_fit: Fit, stack_photo: SyntheticPhoto
+):
+    halved = replace(stack_fit, grid=Grid(0.6, 0.2))
+    sides = visible_sides(
+        halved.camera, halved.cam_from_ground, halved.grid, reach=12.0, min_px=8.0, only=ALONG_X
+    )
+    marked = (sides.line % 2 == 1) & (np.random.default_rng(3).uniform(size=len(sides)) < share)
+    ends = project_ground(halved.camera, halved.cam_from_ground, sides.ends[marked])
+    picture = gray_of(stack_photo)
+    mask = np.zeros(picture.shape, np.uint8)
+    for a, b in np.rint(16 * ends).astype(int).tolist():
+        cv2.line(mask, a, b, 255, 1, cv2.LINE_AA, 4)
+    settled = settle_bond(picture - darker / 255 * mask, replace(stack_fit, grid=Grid(0.6, 0.4 / rows)))
+    assert settled is not None
+    assert spacing_of(settled.fit) == pytest.approx(spacing_of(stack_fit))
 
 
 @pytest.mark.parametrize("name", ["stack", "half"])
