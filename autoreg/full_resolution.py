@@ -67,7 +67,9 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
         fit, crossing = squared.settled.fit, squared.crossing
     small = sight.looks.picture
     settled = _settled_rows(small, _at_detection_scale(fit, small, found.paving), found)
-    return Laid(fit, settled, likeliest(fit) if squared is None else squared.settled, crossing, squared)
+    return Laid(
+        fit, settled, likeliest(picture, fit) if squared is None else squared.settled, crossing, squared
+    )
 
 
 def measured_slabs(
@@ -83,7 +85,7 @@ def measured_slabs(
     start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
     fit = _measure(picture, start, free)
     with ThreadPoolExecutor(1) as beside:
-        rests = beside.submit(likeliest, fit)
+        rests = beside.submit(likeliest, picture, fit)
         settled = presented(small, _at_detection_scale(fit, small, start))
         if settled is None or settled.margin_nats < 0:
             raise no_lattice(settled, None)

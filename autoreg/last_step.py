@@ -11,6 +11,7 @@ from autoreg import photometric, slab_effects
 from autoreg.corrections import recentred
 from autoreg.fit import Fit
 from autoreg.measured_joints import measured_joints, widths_told, without_washed_out
+from autoreg.smear import smeared
 from autoreg.uncertainty import Settled, settle
 
 # Slabs whose places scatter by more than this, as seen across a joint of median size, need not be tried.
@@ -20,18 +21,21 @@ UNEVEN_PX = 0.04
 SUNK = 0.1
 
 
-def likeliest(fit: Fit) -> Settled:
+def likeliest(picture: Float[np.ndarray, "h w"], fit: Fit) -> Settled:
     """The fit at its likeliest pose by the measured places of its joints, and the scatter of its slabs.
 
     The model of irregular slabs knows the turn better, and the place as well where the joints' widths tell
     how far the relief of sunk joints moves them. Without these a relief is hard to tell from a shift of all
     joints, and the plain joints know the place better.
     """
+    # The widths that joints have in a smeared picture would be taken for relief.
+    widths = not smeared(picture, fit.profiles.centre_px[fit.usable])
     if fit.grid.spacing_x is None:
-        return settle(fit)
+        return settle(fit, widths=widths)
     fit = without_washed_out(fit)
-    settled = settle(fit)
-    if not widths_told(fit):
+    widths &= widths_told(fit)
+    settled = settle(fit, widths=widths)
+    if not widths:
         return replace(settled, fit=recentred(settled.fit))
     return replace(
         settled, narrowing=slab_effects.narrowing(measured_joints(fit, np.flatnonzero(fit.usable)))

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 
 from autoreg.fit import Fit
 from autoreg.joint_looks import BLURS, DARK
+from autoreg.smear import alike_in_px
 from autoreg.stations import ALONG_X, ALONG_Y
 
 # Share of the largest blur that is tried, from which on the blur itself is in doubt.
@@ -111,7 +112,13 @@ def _told_apart(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
     blurred = fit.strip.blur_px >= MOST_BLUR * BLURS[-1]
     if blurred or len(wide) < LEAST_WIDE * len(rows):
         return wide[:0]
-    return wide[np.isfinite(fit.widths.sigma_width_px[rows[wide]])]
+    wide = wide[np.isfinite(fit.widths.sigma_width_px[rows[wide]])]
+    both, told = rows[wide], fit.widths
+    for family in (ALONG_X, ALONG_Y):
+        own = both[fit.stations.family[both] == family]
+        if alike_in_px(told.width_px[own], told.sigma_width_px[own], fit.profiles.px_per_unit[own]):
+            return wide[:0]
+    return wide
 
 
 def _own_noise(

@@ -47,9 +47,12 @@ class Settled:
     narrowing: float = 0.0
 
 
-def settle(fit: Fit) -> Settled:
-    """The fit moved to the likeliest pose under irregular slabs, and how sure that pose is."""
-    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera))
+def settle(fit: Fit, *, widths: bool = True) -> Settled:
+    """The fit moved to the likeliest pose under irregular slabs, and how sure that pose is.
+
+    The joints' `widths` have a say if that is asked for.
+    """
+    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera), widths=widths)
     moved = moved_fit(fit, estimate.parameters)
     return Settled(moved, on_camera_side(estimate.covariance, moved.cam_from_ground), estimate.scatter)
 

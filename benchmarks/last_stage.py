@@ -39,7 +39,7 @@ def finish(
     fit = refine_until_still(picture, camera, start, grid, free=Free(), search=search, reach=REACH)
     if fit is None:
         return None
-    last = rested(picture, likeliest(fit), REACH)
+    last = rested(picture, likeliest(picture, fit), REACH)
     return Finish(last.fit.cam_from_ground, last.covariance, fit)
 
 

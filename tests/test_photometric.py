@@ -103,7 +103,7 @@ def fitted(scene: SyntheticScene, seed: int, free: Free = Free()) -> Fit:  # noq
 
 @remembered
 def answered(scene: SyntheticScene, seed: int) -> Settled:
-    return rested(photo_of(scene, seed), likeliest(fitted(scene, seed)), REACH)
+    return rested(photo_of(scene, seed), likeliest(photo_of(scene, seed), fitted(scene, seed)), REACH)
 
 
 def error_of(scene: SyntheticScene, pose: Rigid) -> np.ndarray:
@@ -334,7 +334,7 @@ def test_a_thing_on_the_paving_does_no_harm() -> None:
         picture, PLAIN.camera, PLAIN.cam_from_ground, grid_of(PLAIN), free=Free(), search=0.04, reach=REACH
     )
     assert fit is not None
-    found = rested(picture, likeliest(fit), REACH)
+    found = rested(picture, likeliest(picture, fit), REACH)
     error = error_of(PLAIN, found.fit.cam_from_ground)
     assert error @ np.linalg.solve(found.covariance, error) < 22.5
     assert crossings_off_px(PLAIN, found.fit.cam_from_ground) < 0.02
@@ -384,7 +384,7 @@ def error_in_sigmas(scene: SyntheticScene, picture: np.ndarray, camera: Camera) 
         picture, camera, scene.cam_from_ground, grid_of(scene), free=Free(), search=0.04, reach=REACH
     )
     assert fit is not None
-    found = rested(picture, likeliest(fit), REACH)
+    found = rested(picture, likeliest(picture, fit), REACH)
     error = error_of(scene, found.fit.cam_from_ground)
     off_px = crossings_off_px(scene, found.fit.cam_from_ground)
     return float(error @ np.linalg.solve(found.covariance, error)), off_px
@@ -427,9 +427,9 @@ def test_an_enlarged_picture_claims_no_more_than_it_knows() -> None:
 def test_measured_places_stay_where_few_of_the_pixels_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     fit, picture = fitted(PLAIN, 0), photo_of(PLAIN, 0)
     monkeypatch.setattr(photometric, "MOST_PIXELS", 1500)
-    few = rested(picture, likeliest(fit), REACH)
+    few = rested(picture, likeliest(picture, fit), REACH)
     monkeypatch.undo()
-    many = rested(picture, likeliest(fit), REACH)
+    many = rested(picture, likeliest(picture, fit), REACH)
     places = settle(fit)
     assert np.array_equal(few.fit.cam_from_ground.R, places.fit.cam_from_ground.R)
     assert not np.array_equal(many.fit.cam_from_ground.R, places.fit.cam_from_ground.R)
@@ -458,7 +458,7 @@ def test_even_slabs_with_sunk_joints_are_left_to_their_measured_places(azimuth_d
         sun_elevation_rad=0.8,
         sun_azimuth_rad=float(np.deg2rad(azimuth_deg)),
     )
-    settled = likeliest(fitted(scene, 1))
+    settled = likeliest(photo_of(scene, 1), fitted(scene, 1))
     drawn = on_grey_levels(photo_of(scene, 1), settled.fit, settled.covariance, REACH)
     # Joints that are drawn flat fit the picture well enough to be believed, at a pose that is wrong.
     assert drawn is not None

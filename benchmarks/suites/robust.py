@@ -92,6 +92,22 @@ def _covered(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
     return replace(photo, gray=gray)
 
 
+def _smeared(photo: Photo, length_px: float, rng: np.random.Generator) -> Photo:
+    """The camera moves by so many pixels, in any direction, while the shutter is open."""
+    size = 2 * int(np.ceil(0.5 * length_px)) + 3
+    way = rng.uniform(0, np.pi)
+    along = np.linspace(-0.5, 0.5, 400) * length_px
+    path = 0.5 * (size - 1) + along[:, None] * np.array([np.cos(way), np.sin(way)])
+    corner = np.floor(path).astype(int)
+    part = path - corner
+    kernel = np.zeros((size, size))
+    for du in (0, 1):
+        for dv in (0, 1):
+            share = np.abs(1 - du - part[:, 0]) * np.abs(1 - dv - part[:, 1])
+            np.add.at(kernel, (corner[:, 1] + dv, corner[:, 0] + du), share)
+    return replace(photo, gray=cv2.filter2D(photo.gray, -1, kernel / kernel.sum()))
+
+
 def _wrong_camera(photo: Photo, percent: float, rng: np.random.Generator) -> Photo:
     factor = 1 + 0.01 * percent * rng.choice([-1.0, 1.0])
     told = replace(photo.told, fx=photo.told.fx * factor, fy=photo.told.fy * factor)
@@ -111,6 +127,7 @@ AXES = (
         "bond", "shift", (0.0, 0.25, 1 / 3, 0.5), lambda s, v: replace(s, spacing_m=(0.6, 0.3), shift=v)
     ),
     Axis("joint width", "mm", (2, 4, 8, 20, 40), lambda s, v: replace(s, joint_width_m=1e-3 * v)),
+    Axis("smear", "px", (0.0, 2.0, 4.0, 8.0, 12.0), spoil=_smeared),
     Axis("wrong focal length", "%", (0, 1, 3, 10, 20, 30), spoil=_wrong_camera),
 )  # fmt: skip
 
