@@ -67,9 +67,8 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
         fit, crossing = squared.settled.fit, squared.crossing
     small = sight.looks.picture
     settled = _settled_rows(small, _at_detection_scale(fit, small, found.paving), found)
-    return Laid(
-        fit, settled, likeliest(picture, fit) if squared is None else squared.settled, crossing, squared
-    )
+    rests = likeliest(picture, fit) if squared is None else squared.settled
+    return Laid(fit, settled, rests, crossing, squared)
 
 
 def measured_slabs(

@@ -29,11 +29,11 @@ def likeliest(picture: Float[np.ndarray, "h w"], fit: Fit) -> Settled:
     joints, and the plain joints know the place better.
     """
     # The widths that joints have in a smeared picture would be taken for relief.
-    widths = not smeared(picture, fit.profiles.centre_px[fit.usable])
+    at_px = fit.profiles.centre_px[fit.usable]
     if fit.grid.spacing_x is None:
-        return settle(fit, widths=widths)
+        return settle(fit, widths=not smeared(picture, at_px))
     fit = without_washed_out(fit)
-    widths &= widths_told(fit)
+    widths = widths_told(fit) and not smeared(picture, at_px)
     settled = settle(fit, widths=widths)
     if not widths:
         return replace(settled, fit=recentred(settled.fit))

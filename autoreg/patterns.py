@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int
 
 from autoreg.presence import MISSED, Presence, p_llr
 from autoreg.stations import ALONG_X
@@ -83,26 +82,38 @@ def outstanding(presence: Presence, family: int) -> Pattern | None:
     rows = np.flatnonzero(inside.sides.family == family)
     line, cell = inside.sides.line[rows], inside.sides.cell[rows]
     p, support = inside.p[rows], inside.support[rows]
-    at = {side: k for k, side in enumerate(zip(line.tolist(), cell.tolist(), strict=True))}
+    classes = [
+        (m, q, r, chosen)
+        for m in (2, 3)
+        for q in range(m)
+        for r, chosen in enumerate(_residues(line, cell, m, q).T > 0)
+        if chosen.any() and not chosen.all() and p[~chosen].mean() >= PRESENT_P
+    ]
+    if not classes:
+        return None
     best, most = None, STRONGER
-    for m in (2, 3):
-        for q, r in itertools.product(range(m), range(m)):
-            chosen = (line - cell * q) % m == r
-            if chosen.all() or not chosen.any() or p[~chosen].mean() < PRESENT_P:
-                continue
-            pairs = [
-                (k, at[beside])
-                for k in np.flatnonzero(chosen).tolist()
-                for d in range(1 - m, m)
-                if (beside := (int(line[k]) + d, int(cell[k]))) in at and not chosen[at[beside]]
-            ]
-            if len(pairs) < FEWEST_PAIRS:
-                continue
-            mine, theirs = support[np.array(pairs)].T
-            stronger = float(np.sign(mine - theirs).mean())
-            if stronger > most:
-                best, most = Pattern(m, q, r, stronger), stronger
+    mine, theirs, apart = _neighbours(line, cell)
+    for m, q, r, chosen in classes:
+        pairs = np.flatnonzero(chosen[mine] & ~chosen[theirs] & (apart < m))
+        if len(pairs) < FEWEST_PAIRS:
+            continue
+        stronger = float(np.sign(support[mine[pairs]] - support[theirs[pairs]]).mean())
+        if stronger > most:
+            best, most = Pattern(m, q, r, stronger), stronger
     return best
+
+
+def _neighbours(line: Int[np.ndarray, " n"], cell: Int[np.ndarray, " n"]) -> Int[np.ndarray, "3 k"]:
+    """Pairs of sides of one cell that lie one or two lines apart, either way round, and how many."""
+    sides = list(zip(line.tolist(), cell.tolist(), strict=True))
+    at = {side: k for k, side in enumerate(sides)}
+    pairs = [
+        (k, at[own + d, place], abs(d))
+        for k, (own, place) in enumerate(sides)
+        for d in (-2, -1, 1, 2)
+        if (own + d, place) in at
+    ]
+    return np.array(pairs, dtype=int).reshape(-1, 3).T
 
 
 def broken(presence: Presence, family: int) -> bool:

@@ -13,8 +13,8 @@ from jaxtyping import Float
 
 # So many squares either way, of so many pixels a side, are looked at.
 TILES, TILE_PX = 6, 64
-# Pixels between the values that are compared: along the axes, and along the diagonals.
-FINE, COARSE = (1, 1), (6, 4)
+# Steps of a coarse difference, along the axes and along the diagonals; a fine one is of one step.
+ALONG_AXES, ALONG_DIAGONALS = 6, 4
 # The largest differences, of joints and of what lies on the slabs, count as much as those of this share.
 TRIMMED = 0.8
 # Differences in grey levels that even a flat picture is given.
@@ -50,15 +50,15 @@ def smear(picture: Float[np.ndarray, "h w"], at_px: Float[np.ndarray, "n 2"]) ->
     tiles = np.array([picture[y : y + side, x : x + side] for x, y in corner.tolist()])
     mirrored = tiles[:, :, ::-1]
     pairs = (
-        (_roughness(tiles, 1, 0, 0), _roughness(tiles, 0, 1, 0)),
-        (_roughness(tiles, 1, 1, 1), _roughness(mirrored, 1, 1, 1)),
+        (_roughness(tiles, 1, 0, ALONG_AXES), _roughness(tiles, 0, 1, ALONG_AXES)),
+        (_roughness(tiles, 1, 1, ALONG_DIAGONALS), _roughness(mirrored, 1, 1, ALONG_DIAGONALS)),
     )
     return max(max(a / b, b / a) for a, b in pairs)
 
 
-def _roughness(tiles: Float[np.ndarray, "m s s"], x: int, y: int, scale: int) -> float:
-    """Fine differences over coarse ones along the direction (x, y)."""
-    fine, coarse = (_difference(tiles, x * step[scale], y * step[scale]) for step in (FINE, COARSE))
+def _roughness(tiles: Float[np.ndarray, "m s s"], x: int, y: int, steps: int) -> float:
+    """Differences of one step (x, y) over those of so many."""
+    fine, coarse = _difference(tiles, x, y), _difference(tiles, steps * x, steps * y)
     return (fine + LEAST_GREY) / (coarse + LEAST_GREY)
 
 

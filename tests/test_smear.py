@@ -9,6 +9,7 @@ from paved import POSE_ALONE, STACK, gray_of, misses, nudged, true_grid
 
 from autoreg import measured_joints
 from autoreg.camera import Camera
+from autoreg.fit import Fit
 from autoreg.last_step import likeliest
 from autoreg.refine import refine
 from autoreg.smear import SMEARED, alike_in_px, smear, smeared
@@ -34,6 +35,16 @@ def texture(foreshortened: int = 1) -> np.ndarray:
 
 def moved(picture: np.ndarray, way: np.ndarray) -> np.ndarray:
     return cv2.filter2D(picture, -1, way)
+
+
+def fitted(picture: np.ndarray, photo: SyntheticPhoto) -> Fit:
+    """The fit of a picture that the photo has become, started a little off the true pose."""
+    start = nudged(photo.cam_from_ground, 0.1, 0.002, 1)
+    fit = refine(
+        picture, photo.camera, start, true_grid(photo), free=POSE_ALONE, search=0.1, reaches=(3.0, 6.0, 9.0)
+    )
+    assert fit is not None
+    return fit
 
 
 @pytest.fixture(scope="module")
@@ -64,11 +75,7 @@ def test_widths_of_joints_in_a_smeared_picture_do_not_move_the_pose(
     way: np.ndarray, photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
 ):
     picture = moved(gray_of(photo), way)
-    start = nudged(photo.cam_from_ground, 0.1, 0.002, 1)
-    fit = refine(
-        picture, photo.camera, start, true_grid(photo), free=POSE_ALONE, search=0.1, reaches=(3.0, 6.0, 9.0)
-    )
-    assert fit is not None
+    fit = fitted(picture, photo)
     at_px = fit.profiles.centre_px[fit.usable]
     assert smeared(picture, at_px)
     assert not smeared(gray_of(photo), at_px)
@@ -87,11 +94,7 @@ def test_where_noise_hides_the_texture_the_widths_tell_a_smear(way: np.ndarray, 
     rng = np.random.default_rng(2)
     picture = moved(gray_of(photo), way)
     picture += rng.normal(scale=6.0, size=picture.shape).astype(np.float32)
-    start = nudged(photo.cam_from_ground, 0.1, 0.002, 1)
-    fit = refine(
-        picture, photo.camera, start, true_grid(photo), free=POSE_ALONE, search=0.1, reaches=(3.0, 6.0, 9.0)
-    )
-    assert fit is not None
+    fit = fitted(picture, photo)
     assert not smeared(picture, fit.profiles.centre_px[fit.usable])
     _, crossing_px = misses(likeliest(picture, fit).fit.cam_from_ground, (0.6, 0.4), photo)
     assert crossing_px < 0.15
