@@ -8,6 +8,7 @@ the sensor's and the stone's grain, cells around one slab share its place: the s
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,13 +21,33 @@ NEIGHBOUR = 1.01
 LEAST_TOLD = 0.3
 
 
+@dataclass(frozen=True)
+class Asked:
+    """The combinations of unknowns whose variance is asked for, of a unit each.
+
+    `combined` makes them of scores; `known` whitens what is told of all unknowns.
+    """
+
+    combined: Float[np.ndarray, "j k"]
+    known: Float[np.ndarray, "k k"]
+
+    @classmethod
+    def of(cls, information: Float[np.ndarray, "k k"], asked: slice) -> Asked:
+        """Some of the unknowns that the information is about."""
+        # In units of their own: what is doubted may look nearly like what is asked for.
+        unit = 1.0 / np.sqrt(np.diagonal(information))
+        known = np.linalg.inv(np.linalg.cholesky(information * unit[:, None] * unit)).T
+        inverse = known @ known.T
+        white = np.linalg.cholesky(np.linalg.inv(inverse[asked, asked]))
+        return cls(white.T @ inverse[asked] * unit, unit[:, None] * known)
+
+
 def design_effects(
-    scores: Float[np.ndarray, "c k"],
-    information: Float[np.ndarray, "c k k"],
-    ridge: Float[np.ndarray, "k k"],
+    scores: Float[np.ndarray, "c j"],
+    told: Float[np.ndarray, "c j k"],
+    asked: Asked,
     places: Float[np.ndarray, "c 2"],
     noise: float,
-    asked: slice,
 ) -> tuple[float, float]:
     """Variance of the unknowns that are asked for, over what the information claims: by cells, by neighbours.
 
@@ -34,32 +55,22 @@ def design_effects(
     what they are expected to be for white noise, exactly.
 
     Args:
-        scores: gradient of every cell's misfit by the unknowns.
-        information: each cell's own, in units of the noise; it sums to the whole.
-        ridge: what is added to the whole.
+        scores: gradient of every cell's misfit by what is asked for.
+        told: of each cell's own information, in units of the noise, what it tells of that.
+        asked: combinations of the unknowns.
         places: of the cells, in slabs.
         noise: standard deviation of a pixel.
-        asked: the unknowns whose variance is asked for.
     """
-    # In units of their own: what is doubted may look nearly like what is asked for.
-    whole = information.sum(0) + ridge
-    unit = 1.0 / np.sqrt(np.diagonal(whole))
-    scores, information = scores * unit, information * unit[:, None] * unit
-    known = np.linalg.inv(np.linalg.cholesky(whole * unit[:, None] * unit)).T
-    inverse = known @ known.T
-    white = np.linalg.cholesky(np.linalg.inv(inverse[asked, asked]))
-    ask = white.T @ inverse[asked]
-    seen = scores @ ask.T
-    taken = ask @ information @ known
-    own = np.einsum("akk->a", ask @ information @ ask.T)
+    taken = told @ asked.known
+    own = np.einsum("cjk,jk->c", told, asked.combined)
     pairs = KDTree(places).query_pairs(NEIGHBOUR, p=np.inf, output_type="ndarray")
     count = len(places)
     one = np.ones(len(pairs))
     beside = csr_matrix((one, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
     flat = taken.reshape(count, -1)
-    total, claimed = float((seen**2).sum()), float(own.sum() - (flat**2).sum())
+    total, claimed = float((scores**2).sum()), float(own.sum() - (flat**2).sum())
     alone = total / (claimed * noise**2)
-    total += 2.0 * float((seen * (beside @ seen)).sum())
+    total += 2.0 * float((scores * (beside @ scores)).sum())
     claimed -= 2.0 * float((flat * (beside @ flat)).sum())
     if claimed < LEAST_TOLD * own.sum():
         return alone, alone

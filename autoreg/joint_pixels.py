@@ -9,7 +9,7 @@ from typing import cast
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
@@ -23,19 +23,28 @@ CLEAR_BLURS = 4.5
 # one along Y, before the one along X, and before both; and that of the joint.
 PIECE_PX = 24.0
 TONES, JOINT = 5, 4
+# Kinds of pixels, and how far apart the tones on both sides of a joint are.
+CROSSING, ON_X, ON_Y = 0, 1, 2
+BESIDE = {ON_X: 2, ON_Y: 1}
 # Joints are straight over this length, whatever the lens.
 STRAIGHT_PX = 32.0
+# Pixels that are drawn at a time: what a processor's cache holds.
+AT_ONCE = 8192
+# Codes of blocks up to this one have a table; it takes a few megabytes.
+MOST_CODES = 500_000
 # The picture's outermost pixels know nothing of what is blurred into them from outside.
 BORDER_PX = 3
 # Rows of a picture that are looked through at a time.
 ROWS = 256
 # A plane's most even sequence (Roberts' R2): every part of it covers the picture evenly.
 R2 = (0.7548776662466927, 0.5698402909980532)
+# A line's most even one.
+GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
 class View:
-    """Where pixels meet the ground: x_k = rows[:, k] / depth - offset[k] for ground axes k.
+    """Where pixels meet the ground: x_k = rows[k] / depth - offset[k] for ground axes k.
 
     `rows` are the rays' components along the ground's axes; `depth` is one over the distance in units of the
     ray. Both are linear in a pixel's ideal place, so that a ground line x_k = c is where a linear function
@@ -43,53 +52,53 @@ class View:
     """
 
     pose: Rigid
-    rows: Float[np.ndarray, "n 3"]
+    rows: Float[np.ndarray, "3 n"]
     depth: Float[np.ndarray, " n"]
     offset: Float[np.ndarray, "3"]
 
     @classmethod
-    def of(cls, rays: Float[np.ndarray, "n 3"], pose: Rigid) -> View:
+    def of(cls, rays: Float[np.ndarray, "3 n"], pose: Rigid) -> View:
         """The pixels of these rays, seen from a pose."""
-        rows = rays @ pose.R
-        return cls(pose, rows, rows[:, 2] / float(pose.R[:, 2] @ pose.t), pose.R.T @ pose.t)
+        rows = pose.R.T @ rays
+        return cls(pose, rows, rows[2] / float(pose.R[:, 2] @ pose.t), pose.R.T @ pose.t)
 
     @cached_property
-    def ground(self) -> Float[np.ndarray, "n 2"]:
+    def ground(self) -> Float[np.ndarray, "2 n"]:
         """Ground points under the pixels."""
-        return self.rows[:, :2] / self.depth[:, None] - self.offset[:2]
+        return self.rows[:2] / self.depth - self.offset[:2, None]
 
     def across(
-        self, axis: int, at: Float[np.ndarray, " n"], per_px: Float[np.ndarray, "m 2 2"]
+        self, axis: int, at: Float[np.ndarray, " n"], per_px: Float[np.ndarray, "2 2 m"]
     ) -> tuple[Float[np.ndarray, "2 n"], Float[np.ndarray, " n"]]:
-        """Unit normals in the picture of ground lines x_axis = at, and the function's slope along them.
+        """Slopes in the picture of functions that vanish on ground lines x_axis = at, and their sizes.
 
         `per_px` is the derivative of ideal normalised coordinates by the pixel's.
         """
         R, foot = self.pose.R, float(self.pose.R[:, 2] @ self.pose.t)
         lean = (self.offset[axis] + at) / foot
         x, y = (R[k, axis] - lean * R[k, 2] for k in (0, 1))
-        slope = np.stack([x * per_px[:, 0, k] + y * per_px[:, 1, k] for k in (0, 1)])
-        size = np.sqrt(slope[0] ** 2 + slope[1] ** 2)
-        return slope / size, size
+        slope = np.stack([x * per_px[0, k] + y * per_px[1, k] for k in (0, 1)])
+        return slope, np.sqrt(slope[0] * slope[0] + slope[1] * slope[1])
 
 
 @dataclass(frozen=True)
 class JointPixels:
     """Pixels at crossings, then those along X joints, then those along Y joints; `counts` says how many.
 
-    `line` is the nearest joint along X; `column` is the nearest joint along Y of the row beyond it, `before`
-    of the row before it, and `own` of the row that the pixel is in. `block` numbers pieces of joint, `cell`
-    crossings with all that is nearest to them; `places` is where those are, in slabs along X and Y.
+    Each kind is in the order of its blocks, which number pieces of joint, crossing by crossing: a `cell` is a
+    crossing with all that is nearest to it, and `places` is where those are, in slabs along X and Y. `line`
+    is the number of the nearest joint along X; `column` is where that along Y lies, in slabs, in the row
+    beyond the line or, for pixels along Y joints, in their own, and `before` in the row before the line.
+    `beside` is the first of the two tones of its block that a pixel between two slabs has a share in.
     """
 
     grey: Float[np.ndarray, " n"]
-    rays: Float[np.ndarray, "n 3"]
-    per_px: Float[np.ndarray, "m 2 2"]
-    line: Int[np.ndarray, " n"]
-    column: Int[np.ndarray, " n"]
-    before: Int[np.ndarray, " n"]
-    own: Int[np.ndarray, " n"]
-    beyond: Bool[np.ndarray, "n 2"]
+    rays: Float[np.ndarray, "3 n"]
+    per_px: Float[np.ndarray, "2 2 m"]
+    line: Float[np.ndarray, " n"]
+    column: Float[np.ndarray, " n"]
+    before: Float[np.ndarray, " n"]
+    beside: Int[np.ndarray, " n"]
     block: Int[np.ndarray, " n"]
     cell: Int[np.ndarray, " n"]
     counts: tuple[int, int, int]
@@ -101,36 +110,61 @@ class JointPixels:
         """Number of cells."""
         return len(self.places)
 
+    @property
+    def kind(self) -> int:
+        """Kind of the first pixel, and of all of a part: at a crossing, along X, along Y."""
+        return int(np.flatnonzero(self.counts)[0])
+
+    @cached_property
+    def tone(self) -> Int[np.ndarray, "s n"]:
+        """Which of all blocks' tones each pixel has a share in, the joint's last; of a part."""
+        if self.kind == CROSSING:
+            own = np.repeat(np.arange(TONES)[:, None], len(self), axis=1)
+        else:
+            own = np.stack([self.beside, self.beside + BESIDE[self.kind], np.full(len(self), JOINT)])
+        return (self.block * TONES + own).astype(np.int32)
+
     def __len__(self) -> int:
         """Number of pixels."""
         return len(self.grey)
 
     def thinned(self, every: int) -> JointPixels:
-        """One pixel of so many of each kind; blocks and cells keep their numbers."""
+        """About one pixel of so many of each block; blocks and cells keep their numbers."""
+        if every == 1:
+            return self
+        # Steps of one length would meet the same pixels of every row of a joint.
+        chosen = np.mod(np.arange(len(self)) * GOLDEN, 1.0) < 1.0 / every
         ends = np.cumsum((0, *self.counts))
-        rows = [np.arange(start, end, every) for start, end in pairwise(ends.tolist())]
-        return self._take(np.concatenate(rows), (len(rows[0]), len(rows[1]), len(rows[2])))
+        crossing, along_x, along_y = (int(chosen[a:b].sum()) for a, b in pairwise(ends.tolist()))
+        return self._take(np.flatnonzero(chosen), (crossing, along_x, along_y))
 
-    def parts(self, most: int) -> list[JointPixels]:
-        """All pixels in parts of about so many at most; blocks and cells keep their numbers."""
-        kinds = np.cumsum((0, *self.counts))
-        ends = np.linspace(0, len(self), 1 + max(1, round(len(self) / most))).astype(int).tolist()
+    @cached_property
+    def parts(self) -> list[JointPixels]:
+        """All pixels in parts of one kind, of a few each; blocks and cells keep their numbers."""
         parts: list[JointPixels] = []
-        for start, end in pairwise(ends):
-            crossing, along_x, along_y = np.diff(np.clip(kinds, start, end)).tolist()
-            parts.append(self._take(slice(start, end), (crossing, along_x, along_y)))
+        start = 0
+        for kind, count in enumerate(self.counts):
+            ends = np.linspace(start, start + count, 1 + -(-count // AT_ONCE)).astype(int).tolist()
+            for a, b in pairwise(ends):
+                counts = [0, 0, 0]
+                counts[kind] = b - a
+                parts.append(self._take(slice(a, b), (counts[0], counts[1], counts[2])))
+            start += count
         return parts
+
+    def of_parts(self, values: Float[np.ndarray, " n"]) -> list[np.ndarray]:
+        """Those of some values, one for every pixel, that belong to each part."""
+        return np.split(values, np.cumsum([len(part) for part in self.parts])[:-1])
 
     def _take(self, index: np.ndarray | slice, counts: tuple[int, int, int]) -> JointPixels:
         return JointPixels(
             self.grey[index],
-            self.rays[index],
-            self.per_px[index] if len(self.per_px) > 1 else self.per_px,
+            self.rays[:, index],
+            self.per_px[..., index] if self.per_px.shape[-1] > 1 else self.per_px,
             self.line[index],
             self.column[index],
             self.before[index],
-            self.own[index],
-            self.beyond[index],
+            self.beside[index],
             self.block[index],
             self.cell[index],
             counts,
@@ -155,10 +189,9 @@ def joint_pixels(
     """
     at = _near_joints(picture.shape, camera, pose, sides, width, blur_px, most)
     rays = camera.unproject(at.astype(float))
-    seen = np.isfinite(rays).all(1)
-    at, rays = at[seen], rays[seen]
-    seen = View.of(rays, pose).depth > 0
-    at, rays = at[seen], rays[seen]
+    finite = np.flatnonzero(np.isfinite(rays).all(1))
+    seen = finite[View.of(rays[finite].T, pose).depth > 0]
+    at, rays = at[seen], np.ascontiguousarray(rays[seen].T)
     return _placed(picture, at, rays, _ideal_per_px(camera, rays), pose, grid, width, blur_px)
 
 
@@ -190,7 +223,8 @@ def _near_joints(
     for band in np.rint(16 * corners).astype(np.int32):
         cv2.fillConvexPoly(mask, band, 1, cv2.LINE_8, 4)
     square = thinned(mask, round(wanted))
-    at = coarse * square + (coarse * np.mod(square[:, ::-1] * np.array(R2), 1.0)).astype(np.int64)
+    within = (coarse * np.mod(square[:, ::-1] * np.array(R2), 1.0)).astype(np.int64) if coarse > 1 else 0
+    at = coarse * square + within
     return at[((at >= BORDER_PX) & (at < np.array(shape[::-1]) - BORDER_PX)).all(1)]
 
 
@@ -219,32 +253,31 @@ def _bands(
 def thinned(mask: UInt8[np.ndarray, "h w"], most: int) -> Int[np.ndarray, "n 2"]:
     """Pixels (u, v) of a mask, evenly thinned; some rows at a time, since large pictures have many."""
     share = most / max(cv2.countNonZero(mask), 1)
-    found = [np.zeros((0, 2), dtype=np.int64)]
+    found = [np.zeros((0, 2), dtype=np.int32)]
     for top in range(0, len(mask), ROWS):
         # None where all are zero.
         seen = cast("np.ndarray | None", cv2.findNonZero(mask[top : top + ROWS]))
         if seen is not None:
-            at = seen.reshape(-1, 2).astype(np.int64)
-            at[:, 1] += top
-            found.append(at if share >= 1 else at[np.mod(at @ np.array(R2), 1.0) < share])
+            at = seen.reshape(-1, 2) + np.array([0, top], dtype=np.int32)
+            found.append(at if share >= 1 else at[np.mod(at[:, 0] * R2[0] + at[:, 1] * R2[1], 1.0) < share])
     return np.concatenate(found)
 
 
-def _ideal_per_px(camera: Camera, rays: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "m 2 2"]:
+def _ideal_per_px(camera: Camera, rays: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "2 2 m"]:
     """Derivative of ideal normalised coordinates by the pixel's: one for all where the lens does not bend."""
     focal = np.array([camera.fx, camera.fy])
     if not camera.has_distortion:
-        return np.diag(1.0 / focal)[None]
-    xy, step = rays[:, :2], np.array([1e-4, 0.0])
+        return np.diag(1.0 / focal)[..., None]
+    xy, step = rays[:2].T, np.array([1e-4, 0.0])
     columns = [(camera.distort(xy + s) - camera.distort(xy - s)) * focal / 2e-4 for s in (step, step[::-1])]
-    return np.linalg.inv(np.stack(columns, -1))
+    return np.ascontiguousarray(np.moveaxis(np.linalg.inv(np.stack(columns, -1)), 0, -1))
 
 
 def _placed(
     picture: np.ndarray,
     at: Int[np.ndarray, "n 2"],
-    rays: Float[np.ndarray, "n 3"],
-    per_px: Float[np.ndarray, "m 2 2"],
+    rays: Float[np.ndarray, "3 n"],
+    per_px: Float[np.ndarray, "2 2 m"],
     pose: Rigid,
     grid: Grid,
     width: tuple[float, float],
@@ -254,55 +287,80 @@ def _placed(
     assert grid.spacing_x is not None
     a, b, shift = grid.spacing_x, grid.spacing_y, grid.shift
     view = View.of(rays, pose)
-    x, y = view.ground.T
-    line, row = np.rint(y / b).astype(int), np.floor(y / b).astype(int)
-    column, before, own = (np.rint(x / a - r * shift).astype(int) for r in (line, line - 1, row))
-    off = [x - (i + r * shift) * a for i, r in ((column, line), (before, line - 1), (own, row))]
-    off_y = y - line * b
-    q_x, q_y = (view.depth / view.across(k, c, per_px)[1] for k, c in ((0, x), (1, y)))
-    reach_x, reach_y = (SHOULDER_BLURS * blur_px + 0.5 * w * q for w, q in ((width[1], q_x), (width[0], q_y)))
-    near_x = [np.abs(o) * q_x < reach_x for o in off]
-    near_y = np.abs(off_y) * q_y < reach_y
-    crossing = near_y & (near_x[0] | near_x[1])
-    kind = np.where(crossing, 0, np.where(near_y, 1, 2))
-    clear = (a * q_x > CLEAR_BLURS * blur_px + width[1] * q_x) & (
-        b * q_y > CLEAR_BLURS * blur_px + width[0] * q_y
+    x, y = view.ground[0] / a, view.ground[1] / b
+    line, row = np.rint(y), np.floor(y)
+    # Of a joint along Y in the row beyond the nearest line, in that before it, and in the pixel's own.
+    numbers = [np.rint(x - r * shift) for r in (line, line - 1, row)] if shift else [np.rint(x)] * 3
+    places = [n + r * shift for n, r in zip(numbers, (line, line - 1, row), strict=True)]
+    off, off_y = [x - place for place in places], y - line
+    q_x, q_y = (
+        size * view.depth / view.across(axis, view.ground[axis], per_px)[1] for axis, size in ((0, a), (1, b))
     )
-    kept = np.flatnonzero((near_y | near_x[2]) & clear)
-    kept = kept[np.argsort(kind[kept], kind="stable")]
-    kind = kind[kept]
+    joint_x, joint_y = width[1] / a, width[0] / b
+    reach_x, reach_y = (
+        SHOULDER_BLURS * blur_px + 0.5 * joint_x * q_x,
+        SHOULDER_BLURS * blur_px + 0.5 * joint_y * q_y,
+    )
+    near_x = [np.abs(o) * q_x < reach_x for o in (off if shift else off[:1])]
+    near_y = np.abs(off_y) * q_y < reach_y
+    crossing = near_y & ((near_x[0] | near_x[1]) if shift else near_x[0])
+    clear = (q_x * (1.0 - joint_x) > CLEAR_BLURS * blur_px) & (q_y * (1.0 - joint_y) > CLEAR_BLURS * blur_px)
+    kind = np.where(crossing, CROSSING, np.where(near_y, ON_X, ON_Y)).astype(np.int8)
+    kept = np.flatnonzero((near_y | near_x[-1]) & clear)
+    kind, line, off_y = kind[kept], line[kept], off_y[kept]
     # In a running bond the joints along Y end at either side of one along X in places of their own.
-    lower = np.where(kind == 2, off_y[kept] < 0, np.abs(off[1][kept]) < np.abs(off[0][kept])) & (shift != 0)
-    middle = np.where(lower, before[kept], column[kept])
-    off_x = np.where(lower, off[1][kept], off[0][kept])
-    piece_x = np.where(kind == 1, np.trunc(off_x * q_x[kept] / PIECE_PX), 0).astype(int)
-    piece_y = np.where(kind == 2, np.trunc(off_y[kept] * q_y[kept] / PIECE_PX), 0).astype(int)
-    block, pieces = _numbered(middle, line[kept], lower, piece_x, piece_y)
-    cell, first = _numbered(middle, line[kept], lower)
-    row = line[kept] - lower
-    places = np.stack([middle + row * shift, line[kept]], 1)[first]
+    lower = np.zeros(len(kept), dtype=bool)
+    if shift:
+        lower = np.where(kind == ON_Y, off_y < 0, np.abs(off[1][kept]) < np.abs(off[0][kept]))
+    number, off_x = (np.where(lower, before[kept], beyond[kept]) for beyond, before in (numbers[:2], off[:2]))
+    along = np.select([kind == ON_X, kind == ON_Y], [off_x * q_x[kept], off_y * q_y[kept]])
+    piece = np.trunc(along / PIECE_PX)
+    cell, first = _numbered(number, line, lower)
+    # The pieces nearest to a crossing belong to it, whatever joint they are of.
+    block, pieces = _numbered(cell, np.where(piece == 0, 0, kind), piece)
+    own = np.where(kind == ON_Y, places[2][kept], places[0][kept])
+    beside = np.where(kind == ON_X, off_x <= 0, np.where(kind == ON_Y, 2 * (off_y <= 0), 0))
+    order = _by_kind_and_block(kind, block, len(pieces))
+    kept = kept[order]
+    counts = np.bincount(kind, minlength=3).tolist()
     return JointPixels(
         grey=picture[at[kept, 1], at[kept, 0]].astype(float),
-        rays=rays[kept],
-        per_px=per_px[kept] if len(per_px) > 1 else per_px,
-        line=line[kept],
-        column=column[kept],
-        before=before[kept],
-        own=own[kept],
-        beyond=np.stack([off_x > 0, off_y[kept] > 0], 1),
-        block=block,
-        cell=cell,
-        counts=(int((kind == 0).sum()), int((kind == 1).sum()), int((kind == 2).sum())),
+        rays=rays[:, kept],
+        per_px=per_px[..., kept] if per_px.shape[-1] > 1 else per_px,
+        line=line[order],
+        column=own[order],
+        before=places[1][kept],
+        beside=beside[order],
+        block=block[order],
+        cell=cell[order],
+        counts=(counts[0], counts[1], counts[2]),
         blocks=len(pieces),
-        places=places.astype(float),
+        places=np.stack([number + (line - lower) * shift, line], 1)[first],
     )
+
+
+def _by_kind_and_block(kind: np.ndarray, block: np.ndarray, blocks: int) -> Int[np.ndarray, " n"]:
+    """The order of pixels by kind, and of each kind by block."""
+    key = kind.astype(np.int64) * blocks + block
+    # Short integers are sorted by radix.
+    return np.argsort(key.astype(np.min_scalar_type(3 * blocks)), kind="stable")
 
 
 def _numbered(*keys: np.ndarray) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]:
-    """Numbers from zero for equal keys, and where each first occurs."""
-    number = np.zeros(len(keys[0]), dtype=np.int64)
+    """Numbers from zero for equal whole numbers, in their order, and where one of each is."""
+    code = np.zeros(len(keys[0]), dtype=np.int64)
+    size = 1
     for key in keys:
-        low, high = (int(key.min()), int(key.max())) if len(key) else (0, 0)
-        number = number * (high - low + 1) + (key.astype(np.int64) - low)
-    _, first, inverse = np.unique(number, return_index=True, return_inverse=True)
-    return inverse.ravel(), first
+        whole = key.astype(np.int64)
+        low, high = (int(whole.min()), int(whole.max())) if len(key) else (0, 0)
+        size *= high - low + 1
+        code = code * (high - low + 1) + (whole - low)
+    if size > MOST_CODES:
+        _, first, number = np.unique(code, return_index=True, return_inverse=True)
+        return number.ravel(), first
+    where = np.full(size, -1)
+    where[code] = np.arange(len(code))
+    there = np.flatnonzero(where >= 0)
+    number = np.empty(size, dtype=np.int64)
+    number[there] = np.arange(len(there))
+    return number[code], where[there]

@@ -26,7 +26,7 @@ from jaxtyping import Float
 from scipy.special import chdtri
 
 from autoreg import joint_data as terms
-from autoreg.design_effect import design_effects
+from autoreg.design_effect import Asked, design_effects
 from autoreg.fit import LEAST_WEIGHT, Fit
 from autoreg.freedom import stretched
 from autoreg.image_doubts import Averaged, Doubt, averaged_over
@@ -40,6 +40,8 @@ from autoreg.photometric_step import (
     first_state,
     moved_shape,
     stepped,
+    stepped_on,
+    told,
     told_by_cells,
     with_doubts,
 )
@@ -131,10 +133,11 @@ def on_grey_levels(
     for every, still in ((ROUGHLY, ROUGHLY_STILL_SIGMAS), (1, STILL_SIGMAS)):
         some = pixels.thinned(every)
         # The first pass knows no tones that pixels could be held against.
-        state = replace(state, weight=np.ones(len(some)) if last is None else None)
+        state = replace(state, weight=None if every == 1 else np.ones(len(some)))
         before = 0.0
-        for _ in range(MOST_STEPS):
-            last = stepped(some, state)
+        for n in range(MOST_STEPS):
+            # The first of all pixels finds the weights that the second goes by.
+            last = stepped_on(last) if last and every == 1 and n > 1 else stepped(some, state)
             if last is None or not _sound(last.state.shape, shape):
                 return None
             state, shrinks = last.state, min(1.0, last.sigmas / before) if before else 1.0
@@ -177,7 +180,7 @@ def _judged(
     """The answer, if its slabs are even and the joints' measured places do not contradict it."""
     state, pixels = last.state, last.pixels
     counted = int((np.bincount(pixels.cell, state.weight) > 0).sum())
-    if counted < SPARE_CELLS + len(last.free):
+    if counted < SPARE_CELLS + len(last.normal.free):
         return None
     answer, effect = _averaged(last, together)
     if effect > MOST_DESIGN_EFFECT:
@@ -188,7 +191,7 @@ def _judged(
     if away @ np.linalg.solve(covariance + plain + doubted, away) > chdtri(6, CONTRADICTION):
         return None
     step = np.zeros(UNKNOWNS)
-    step[last.free] = answer.step[: len(last.free)]
+    step[last.normal.free] = answer.step[: len(last.normal.free)]
     shape = moved_shape(state.shape, step)
     parameters = _parameters(fit, shape)
     moved = replace(
@@ -203,14 +206,16 @@ def _judged(
 
 def _averaged(last: Step, together: float) -> tuple[Averaged, float]:
     """A last step of all unknowns, averaged over what is doubted, and the design effect of the pose."""
-    known, noise = len(last.free), last.state.noise
-    unknowns, last = np.r_[last.free, UNKNOWNS + np.arange(DOUBTED)], with_doubts(last, together)
-    scores, told = told_by_cells(last, unknowns)
-    information, score = told.sum(0), scores.sum(0)
+    known, noise = len(last.normal.free), last.state.noise
+    unknowns, last = np.r_[last.normal.free, UNKNOWNS + np.arange(DOUBTED)], with_doubts(last, together)
+    information, score = told(last, unknowns)
     ridge = np.diag(np.r_[np.zeros(known), 1e-12 + 1e-9 * np.diag(information)[known:]])
+    asked = Asked.of(information + ridge, slice(0, 6))
     # Judged by what is left when all that is doubted has been taken out.
-    left = scores - told @ np.linalg.solve(information + ridge, score)
-    effect = max(*design_effects(left, told, ridge, last.pixels.places, noise, slice(0, 6)), 1.0)
+    scores, of_cells = told_by_cells(
+        last, unknowns, asked.combined, np.linalg.solve(information + ridge, score)
+    )
+    effect = max(*design_effects(scores, of_cells, asked, last.pixels.places, noise), 1.0)
     variance = noise**2 * effect
     return averaged_over(DOUBTS, information / variance, score / variance, known), effect
 

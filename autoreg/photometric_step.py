@@ -7,15 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_matrix
 
 from autoreg import joint_data as terms
 from autoreg.fit import Fit
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
 from autoreg.joint_image import JointImage, Shape, Slopes, with_looks
-from autoreg.joint_pixels import JOINT, JointPixels
-from autoreg.side_by_side import side_by_side
-from autoreg.tones import Blocks, Shares, tone_variances
+from autoreg.joint_pixels import JOINT, TONES, JointPixels
+from autoreg.tones import Blocks, Shares, over_parts, tone_variances
 
 # Looks change by at most this much at a time, in their logarithms.
 MOST_LOOKS_STEP = 0.3
@@ -30,11 +28,11 @@ LEAST_NOISE = 0.05
 # Unknowns besides the tones of blocks: seven of the pose, three looks, the mean tones of slabs and of joints;
 # behind them stand the columns of what the drawing leaves out, which no step solves for.
 LOOKS, MEANS, UNKNOWNS, DOUBTED = slice(7, 10), slice(10, 12), 12, 11
+# Columns of a pixel in a step: the derivatives, and its grey level.
+COLUMNS = UNKNOWNS + 1
 # Where tiles meet without a joint that shows, there may be a hairline as wide as what is taken for none. Its
 # tone moves the step by up to half of that.
 HAIRLINE = 0.3
-# Pixels that are drawn at a time, such parts side by side: what a processor's cache holds.
-MOST_AT_ONCE = 32_768
 
 
 @dataclass(frozen=True)
@@ -61,112 +59,172 @@ class Part:
 
     image: JointImage
     slopes: Slopes
-    share: Float[np.ndarray, "n t"]
     weight: Float[np.ndarray, " n"]
-    columns: Float[np.ndarray, "n p"]
+    columns: Float[np.ndarray, "p n"]
     shares: Shares
+
+
+@dataclass(frozen=True)
+class Normal:
+    """The normal equations of a step: of the `free` unknowns, and of the blocks' tones.
+
+    `sums` and `solved` are the blocks' products with the columns of the unknowns and the tones that imitate
+    these, with `ridge` for what is known of the tones; `H` is what the columns' own products leave beyond
+    them. `weight` is that of the pixels.
+    """
+
+    free: Int[np.ndarray, " k"]
+    weight: Float[np.ndarray, " n"]
+    blocks: Blocks
+    ridge: Float[np.ndarray, " t"]
+    H: Float[np.ndarray, "p p"]
+    sums: Float[np.ndarray, "m t q"]
+    solved: Float[np.ndarray, "m t q"]
 
 
 @dataclass(frozen=True)
 class Step:
     """One Gauss-Newton step: where it led, its size in sigmas, and what cells' scores are made of.
 
-    It was taken from all `pixels` by `parts`. `sums` and `solved` are the blocks' products with the columns
-    of the unknowns and the tones that imitate these, with `ridge` for what is known of the tones; `left` is
-    what is left of each part's grey levels.
+    It was taken from all `pixels` by `parts`; `left` is what is left of each part's grey levels.
     """
 
     state: State
-    free: Int[np.ndarray, " k"]
     pixels: JointPixels
     parts: list[Part]
-    blocks: Blocks
-    ridge: Float[np.ndarray, " t"]
-    sums: Float[np.ndarray, "m t p"]
-    solved: Float[np.ndarray, "m t p"]
+    normal: Normal
     left: list[np.ndarray]
     sigmas: float
 
 
 def first_state(pixels: JointPixels, shape: Shape, fit: Fit) -> State:
     """Tones by a ridge towards their common means, and the noise that they leave."""
-    share = JointImage(pixels, shape).shares()
-    common = np.stack([1.0 - share[:, JOINT], share[:, JOINT]], 1)
+    images = [JointImage(part, shape) for part in pixels.parts]
+    of_joint = np.concatenate([image.share[-1] for image in images])
+    common = np.stack([1.0 - of_joint, of_joint], 1)
     means = np.linalg.lstsq(common.T @ common + 1e-6 * np.eye(2), common.T @ pixels.grey, rcond=None)[0]
-    weight = np.ones(len(pixels))
-    shares = Shares(pixels, share, weight)
     middle = np.r_[[means[0]] * JOINT, means[1]]
-    away = shares.sums((pixels.grey - share @ middle)[:, None])
-    blocks = Blocks([shares])
-    tones = middle + blocks.solve(away, FIRST_RIDGE)[..., 0]
-    noise = _scatter(_without_tones(pixels, share, tones), weight, blocks.freedom(FIRST_RIDGE))
-    return State(shape, fit, tones, noise, weight)
+    middles = np.tile(middle, (pixels.blocks, 1))
+    parts = [Shares(image.pixels, image.share, np.ones(len(image.pixels))) for image in images]
+    away = [np.column_stack([_without_tones(image, middles), _dense(image)]) for image in images]
+    total = over_parts(pixels.blocks, [(own, own.sums(each)) for own, each in zip(parts, away, strict=True)])
+    blocks = Blocks(total[..., 1:])
+    tones = middle + blocks.solve(total[..., :1], FIRST_RIDGE)[..., 0]
+    left = np.concatenate([_without_tones(image, tones) for image in images])
+    weight = np.ones(len(pixels))
+    return State(shape, fit, tones, _scatter(left, weight, blocks.freedom(FIRST_RIDGE)), weight)
 
 
 def stepped(pixels: JointPixels, state: State) -> Step | None:
     """One Gauss-Newton step of the pose, the looks and all tones."""
-    some = pixels.parts(MOST_AT_ONCE)
-    images = side_by_side(lambda part: JointImage(part, state.shape), some)
-    share = side_by_side(JointImage.shares, images)
+    images = [JointImage(part, state.shape) for part in pixels.parts]
     weight = state.weight
     if weight is None:
-        off = [_without_tones(part, own, state.tones) for part, own in zip(some, share, strict=True)]
-        weight = _robust(np.concatenate(off), state.noise, pixels.cell)
-    ends = np.cumsum([len(part) for part in some])[:-1]
-    drawn = list(zip(images, share, np.split(weight, ends), strict=True))
-    parts = side_by_side(lambda part: _part(*part, state.tones), drawn)
-    free = freed(state.fit)
-    blocks = Blocks(part.shares for part in parts)
-    sums, squares = (np.sum(products, 0) for products in zip(*side_by_side(_products, parts), strict=True))
-    variances = tone_variances(blocks, blocks.solve(sums[..., -1:], 1e-3)[..., 0], state.noise)
+        off = np.concatenate([_without_tones(image, state.tones) for image in images])
+        weight = _robust(off, state.noise, pixels.cell)
+    drawn = zip(images, pixels.of_parts(weight), strict=True)
+    parts, sums, squares = zip(*(_part(*each, state.tones) for each in drawn), strict=True)
+    total = over_parts(pixels.blocks, [(part.shares, own) for part, own in zip(parts, sums, strict=True)])
+    blocks, sums = Blocks(total[..., COLUMNS:]), total[..., :COLUMNS]
+    variances = tone_variances(blocks, sums[..., -1:], state.noise)
     ridge = state.noise**2 / np.r_[[variances[0]] * JOINT, variances[1]]
     solved = blocks.solve(sums, ridge)
-    H = squares - np.einsum("mtp,mtq->pq", sums, solved)
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(H)[free], 1e-12))
-    information = H[np.ix_(free, free)]
+    H = np.sum(squares, 0) - _imitated(sums, solved)
+    normal = Normal(freed(state.fit), weight, blocks, ridge, H[:-1, :-1], sums[..., :-1], solved[..., :-1])
+    return _taken(state, pixels, list(parts), normal, H[:-1, -1], solved[..., -1])
+
+
+def stepped_on(last: Step) -> Step | None:
+    """A further step by the derivatives, weights and ridge of the last one, which small steps hardly change.
+
+    What is drawn anew are the shares alone.
+    """
+    state, pixels, normal = last.state, last.pixels, last.normal
+    grey: list[np.ndarray] = []
+    for part in last.parts:
+        # As the old shares would have them if all tones were as they are now.
+        off = _without_tones(JointImage(part.image.pixels, state.shape), state.tones)
+        grey.append(off + part.image.pixels.grey - _without_tones(part.image, state.tones))
+    sums = _tones_of(last, grey)[..., None]
+    solved = normal.blocks.solve(sums, normal.ridge)
+    products = [part.columns[:-1] @ (part.weight * own) for part, own in zip(last.parts, grey, strict=True)]
+    right = np.sum(products, 0) - _imitated(normal.sums, solved)[:, 0]
+    parts = [
+        replace(part, columns=np.concatenate([part.columns[:-1], own[None]]))
+        for part, own in zip(last.parts, grey, strict=True)
+    ]
+    return _taken(state, pixels, parts, normal, right, solved[..., 0])
+
+
+def _taken(
+    state: State,
+    pixels: JointPixels,
+    parts: list[Part],
+    normal: Normal,
+    right: Float[np.ndarray, " p"],
+    solved: Float[np.ndarray, "m t"],
+) -> Step | None:
+    """The step of normal equations with a right side; `solved` are the tones without it."""
+    free = normal.free
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(normal.H)[free], 1e-12))
+    information = normal.H[np.ix_(free, free)]
     scaled = information * np.outer(unit, unit)
     if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > 1e12:
         return None
     step = np.zeros(UNKNOWNS)
-    step[free] = unit * np.linalg.solve(scaled, unit * H[free, -1])
+    step[free] = unit * np.linalg.solve(scaled, unit * right[free])
     step[LOOKS] = np.clip(step[LOOKS], -MOST_LOOKS_STEP, MOST_LOOKS_STEP)
-    means = np.r_[[step[10]] * JOINT, step[11]]
-    off = solved[..., -1] - solved[..., :UNKNOWNS] @ step
-    tones = off + means
-    left = side_by_side(lambda part: _left(part, tones, step), parts)
+    tones = solved - normal.solved @ step + np.r_[[step[10]] * JOINT, step[11]]
+    left = [_left(part, tones, step) for part in parts]
     all_left = np.concatenate(left)
-    noise = _scatter(all_left, weight, blocks.freedom(ridge))
-    moved = replace(state, shape=moved_shape(state.shape, step), tones=tones, noise=noise)
+    noise = _scatter(all_left, normal.weight, normal.blocks.freedom(normal.ridge))
     # Of the means, a step has no size: they are found anew each time.
     motion = np.where(free < MEANS.start, step[free], 0.0)
     sigmas = float(np.sqrt(motion @ information @ motion)) / noise
-    moved = replace(moved, weight=_robust(all_left, noise, pixels.cell))
-    return Step(moved, free, pixels, parts, blocks, ridge, sums[..., :-1], solved[..., :-1], left, sigmas)
+    weight = _robust(all_left, noise, pixels.cell)
+    moved = replace(state, shape=moved_shape(state.shape, step), tones=tones, noise=noise, weight=weight)
+    return Step(moved, pixels, parts, normal, left, sigmas)
 
 
-def _part(image: JointImage, share: np.ndarray, weight: np.ndarray, tones: np.ndarray) -> Part:
-    """Some pixels with all that a step needs of them."""
+def _part(
+    image: JointImage, weight: np.ndarray, tones: np.ndarray
+) -> tuple[Part, Float[np.ndarray, "b t q"], Float[np.ndarray, "p p"]]:
+    """Some pixels with all that a step needs of them.
+
+    With it the products of the blocks' tones with its columns and with each other, and of the columns.
+    """
+    pixels, share = image.pixels, image.share
+    slopes = image.slopes(tones.ravel()[pixels.tone])
+    columns = np.concatenate(
+        [image.by_pose(slopes), slopes.by_looks, [1.0 - share[-1], share[-1], pixels.grey]]
+    )
+    part = Part(image, slopes, weight, columns, Shares(pixels, share, weight))
+    sums = part.shares.sums(np.concatenate([columns.T, _dense(image)], 1))
+    weighted = columns * np.sqrt(weight)
+    return part, sums, weighted @ weighted.T
+
+
+def _dense(image: JointImage) -> Float[np.ndarray, "n t"]:
+    """The shares of all tones of a pixel's block."""
     pixels = image.pixels
-    slopes = image.slopes(tones[pixels.block])
-    means = 1.0 - share[:, JOINT], share[:, JOINT]
-    columns = np.column_stack([image.by_pose(slopes), slopes.by_looks, *means, pixels.grey])
-    return Part(image, slopes, share, weight, columns, Shares(pixels, share, weight))
+    dense = np.zeros((len(pixels), TONES))
+    dense.ravel()[pixels.tone - (pixels.block - np.arange(len(pixels))) * TONES] = image.share
+    return dense
 
 
-def _products(part: Part) -> tuple[Float[np.ndarray, "m t p"], Float[np.ndarray, "p p"]]:
-    """Weighted products of a part's columns with the shares of the blocks' tones, and with each other."""
-    return part.shares.sums(part.columns), (part.columns * part.weight[:, None]).T @ part.columns
-
-
-def _without_tones(pixels: JointPixels, share: np.ndarray, tones: np.ndarray) -> Float[np.ndarray, " n"]:
+def _without_tones(image: JointImage, tones: np.ndarray) -> Float[np.ndarray, " n"]:
     """Grey levels without what the tones of their blocks explain."""
-    return pixels.grey - np.einsum("nt,nt->n", share, tones[pixels.block])
+    return image.pixels.grey - (image.share * tones.ravel()[image.pixels.tone]).sum(0)
 
 
 def _left(part: Part, tones: np.ndarray, step: np.ndarray) -> Float[np.ndarray, " n"]:
     """What a step leaves of a part's grey levels."""
-    moved = part.columns[:, : MEANS.start] @ step[: MEANS.start]
-    return _without_tones(part.image.pixels, part.share, tones) - moved
+    return _without_tones(part.image, tones) - step[: MEANS.start] @ part.columns[: MEANS.start]
+
+
+def _imitated(sums: Float[np.ndarray, "m t p"], solved: Float[np.ndarray, "m t q"]) -> np.ndarray:
+    """Products of columns that the tones of all blocks take for their own."""
+    return sums.reshape(-1, sums.shape[-1]).T @ solved.reshape(-1, solved.shape[-1])
 
 
 def with_doubts(last: Step, together: float) -> Step:
@@ -176,59 +234,90 @@ def with_doubts(last: Step, together: float) -> Step:
     """
     widths = zip(last.state.shape.width, last.state.fit.strip.polarity, strict=True)
     x, y = (together * width if polarity else HAIRLINE * width for width, polarity in widths)
-    more = side_by_side(lambda part: _doubts(part, (x, y)), last.parts)
-    both = list(zip(last.parts, more, strict=True))
-    sums = np.sum([part.shares.sums(columns) for part, columns in both], 0)
-    solved = np.concatenate([last.solved, last.blocks.solve(sums, last.ridge)], 2)
-    parts = [replace(p, columns=np.concatenate([p.columns[:, :-1], columns], 1)) for p, columns in both]
-    return replace(last, parts=parts, sums=np.concatenate([last.sums, sums], 2), solved=solved)
+    parts, sums = zip(*(_doubted(part, (x, y)) for part in last.parts), strict=True)
+    total = over_parts(
+        last.pixels.blocks, [(part.shares, own) for part, own in zip(parts, sums, strict=True)]
+    )
+    normal = last.normal
+    solved = np.concatenate([normal.solved, normal.blocks.solve(total, normal.ridge)], 2)
+    normal = replace(normal, sums=np.concatenate([normal.sums, total], 2), solved=solved)
+    return replace(last, parts=list(parts), normal=normal)
 
 
-def _doubts(part: Part, off: tuple[float, float]) -> Float[np.ndarray, "n d"]:
-    """What a part's grey levels change by where they are doubted; joints are `off` by so much together."""
+def _doubted(part: Part, off: tuple[float, float]) -> tuple[Part, Float[np.ndarray, "b t d"]]:
+    """A part with columns of what its grey levels change by where they are doubted, and the tones' products.
+
+    Joints are `off` by so much together.
+    """
     image, slopes = part.image, part.slopes
-    return np.column_stack([image.lopsided(), image.by_lens(slopes), image.together(slopes, off)])
+    more = np.concatenate([image.lopsided(), image.by_lens(slopes), image.together(slopes, off)])
+    columns = np.concatenate([part.columns[:-1], more])
+    return replace(part, columns=columns), part.shares.sums(np.ascontiguousarray(more.T))
+
+
+def told(
+    last: Step, unknowns: Int[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """Information about some of the unknowns in all pixels, beyond what tones can imitate, and its score."""
+    products = [_squares(part, left, unknowns) for part, left in zip(last.parts, last.left, strict=True)]
+    squares, score = (np.sum(each, 0) for each in zip(*products, strict=True))
+    sums, solved = last.normal.sums[..., unknowns], last.normal.solved[..., unknowns]
+    score = score - np.einsum("mtk,mt->k", solved, _tones_of(last, last.left))
+    return squares - _imitated(sums, solved), score
+
+
+def _squares(part: Part, left: np.ndarray, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    columns = part.columns[unknowns]
+    weighted = columns * np.sqrt(part.weight)
+    return weighted @ weighted.T, columns @ (part.weight * left)
+
+
+def _tones_of(last: Step, left: list[np.ndarray]) -> Float[np.ndarray, "m t"]:
+    """Weighted products of all tones' shares with what is left of the grey levels."""
+    parts = [
+        (part.shares, part.shares.sums(own[:, None])) for part, own in zip(last.parts, left, strict=True)
+    ]
+    return over_parts(last.pixels.blocks, parts)[..., 0]
 
 
 def told_by_cells(
-    last: Step, unknowns: Int[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "c k k"]]:
-    """Gradient of every cell's misfit by the unknowns, as far as no tone can imitate it, and its information.
+    last: Step, unknowns: Int[np.ndarray, " k"], ask: Float[np.ndarray, "j k"], step: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "c j"], Float[np.ndarray, "c j k"]]:
+    """What every cell tells of some combinations `ask` of the unknowns: its score, and its information.
 
-    The sum of what all cells tell is the step's normal matrix.
+    As far as no tone can imitate it; the score is what is left of it when all have taken a `step`. The sum
+    of what all cells tell is the combinations' part of the normal matrix.
     """
-    both = list(zip(last.parts, last.left, strict=True))
-    of_parts = side_by_side(lambda part: _told_by_cells(*part, unknowns), both)
-    scores, told = (np.sum(parts, 0) for parts in zip(*of_parts, strict=True))
-    left = np.sum([part.shares.sums(left[:, None]) for part, left in both], 0)
-    sums, solved = last.sums[..., unknowns], last.solved[..., unknowns]
-    scores -= _by_cell(last.pixels, np.einsum("mtk,mt->mk", solved, left[..., 0]))
-    imitated = (np.swapaxes(sums, 1, 2) @ solved).reshape(len(sums), -1)
-    return scores, told - _by_cell(last.pixels, imitated).reshape(told.shape)
+    pixels, normal = last.pixels, last.normal
+    left = [own - step @ part.columns[unknowns] for part, own in zip(last.parts, last.left, strict=True)]
+    sums = np.swapaxes(normal.sums[..., unknowns] @ ask.T, 1, 2)
+    # The score's column is the last.
+    tones = normal.blocks.solve(_tones_of(last, left)[..., None], normal.ridge)
+    imitated = sums @ np.concatenate([normal.solved[..., unknowns], tones], 2)
+    # Blocks are numbered cell by cell.
+    cell = np.zeros(pixels.blocks, dtype=np.int64)
+    cell[pixels.block] = pixels.cell
+    total = -np.add.reduceat(imitated, np.searchsorted(cell, np.arange(pixels.cells)), axis=0)
+    for part, own in zip(last.parts, left, strict=True):
+        of_part = _told_by_cells(part, own, unknowns, ask)
+        first = part.image.pixels.cell[0]
+        total[first : first + len(of_part)] += of_part
+    return total[..., -1], total[..., :-1]
 
 
 def _told_by_cells(
-    part: Part, left: np.ndarray, unknowns: np.ndarray
-) -> tuple[Float[np.ndarray, "c k"], Float[np.ndarray, "c k k"]]:
+    part: Part, left: np.ndarray, unknowns: np.ndarray, ask: np.ndarray
+) -> Float[np.ndarray, "b j k"]:
     """What a part's pixels tell, cell by cell, if they have the tones that they have."""
-    pixels, k = part.image.pixels, len(unknowns)
-    order = np.argsort(pixels.cell, kind="stable")
-    columns = part.columns[np.ix_(order, unknowns)]
-    weighted, left = columns * part.weight[order, None], left[order]
-    ends = np.cumsum(np.bincount(pixels.cell, minlength=pixels.cells)).tolist()
-    scores, told = np.empty((pixels.cells, k)), np.empty((pixels.cells, k, k))
-    for cell, (start, end) in enumerate(pairwise([0, *ends])):
-        told[cell] = weighted[start:end].T @ columns[start:end]
-        scores[cell] = left[start:end] @ weighted[start:end]
-    return scores, told
-
-
-def _by_cell(pixels: JointPixels, of_blocks: Float[np.ndarray, "m k"]) -> Float[np.ndarray, "c k"]:
-    """Sums over the blocks of every cell."""
-    cell = np.zeros(pixels.blocks, dtype=np.int64)
-    cell[pixels.block] = pixels.cell
-    ones, block = np.ones(len(cell)), np.arange(len(cell))
-    return csr_matrix((ones, (cell, block)), shape=(pixels.cells, len(cell))) @ of_blocks
+    cell = part.image.pixels.cell
+    columns = np.concatenate([part.columns[unknowns], left[None]])
+    asked = (ask @ columns[:-1]) * part.weight
+    ends = np.cumsum(np.bincount(cell - cell[0])).tolist()
+    found = np.zeros((len(ends), len(ask), len(columns)))
+    for own, (start, end) in zip(found, pairwise([0, *ends]), strict=True):
+        if end > start:
+            np.matmul(asked[:, start:end], columns[:, start:end].T, out=own)
+    return found
 
 
 def freed(fit: Fit) -> Int[np.ndarray, " k"]:

@@ -15,28 +15,38 @@ DOUBTFUL = 2.0
 
 
 class Shares:
-    """The shares of tones in some pixels, times the pixels' weights, block by block."""
+    """The shares of tones in the pixels of a part, times the pixels' weights: sums by the blocks' tones."""
 
-    def __init__(self, pixels: JointPixels, share: np.ndarray, weight: np.ndarray) -> None:
-        n, m = share.shape
-        self.count = pixels.blocks
-        told = share > 1e-6
-        place = (pixels.block * m)[:, None] + np.arange(m)
-        ends = np.r_[0, np.cumsum(np.count_nonzero(told, axis=1))]
-        entries = (share * weight[:, None])[told], place[told], ends
-        self.gather = csc_matrix(entries, shape=(self.count * m, n))
-        self.normal = self.sums(share)
+    def __init__(self, pixels: JointPixels, share: Float[np.ndarray, "s n"], weight: np.ndarray) -> None:
+        s, n = share.shape
+        first, last = int(pixels.block[0]), int(pixels.block[-1])
+        # Pixels are in the order of their blocks, of which a part has a few.
+        self.blocks = slice(first, last + 1)
+        place = (pixels.tone - first * TONES).T.ravel()
+        entries = (share * weight).T.ravel(), place, np.arange(0, s * n + 1, s, dtype=np.int32)
+        self.gather = csc_matrix(entries, shape=((last + 1 - first) * TONES, n))
 
-    def sums(self, columns: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "m t c"]:
-        """Weighted products of every block's shares with some columns."""
-        return (self.gather @ columns).reshape(self.count, TONES, -1)
+    def sums(self, columns: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "b t c"]:
+        """Weighted products of the shares in each of the part's blocks with some columns."""
+        return np.asarray(self.gather @ columns).reshape(-1, TONES, columns.shape[1])
+
+
+def over_parts(blocks: int, parts: Iterable[tuple[Shares, np.ndarray]]) -> Float[np.ndarray, "m t c"]:
+    """Sums over all pixels, from those of each part."""
+    total: np.ndarray | None = None
+    for shares, sums in parts:
+        if total is None:
+            total = np.zeros((blocks, *sums.shape[1:]))
+        total[shares.blocks] += sums
+    assert total is not None
+    return total
 
 
 class Blocks:
     """The tones' normal equations, block by block, of all pixels."""
 
-    def __init__(self, parts: Iterable[Shares]) -> None:
-        self.normal: np.ndarray = np.sum([part.normal for part in parts], 0)
+    def __init__(self, normal: Float[np.ndarray, "m t t"]) -> None:
+        self.normal = normal
 
     def solve(
         self, sums: Float[np.ndarray, "m t c"], ridge: float | np.ndarray
@@ -52,12 +62,13 @@ class Blocks:
         return self.normal + np.diag(np.broadcast_to(ridge, TONES) + 1e-6)
 
 
-def tone_variances(blocks: Blocks, tones: np.ndarray, noise: float) -> Float[np.ndarray, "2"]:
+def tone_variances(blocks: Blocks, sums: Float[np.ndarray, "m t 1"], noise: float) -> Float[np.ndarray, "2"]:
     """Variance of the slabs' and of the joints' tones about their means, by moments.
 
-    `tones` are least squares' own; those that are hardly told do not count.
+    The tones are least squares' own, from the blocks' `sums`; those that are hardly told do not count.
     """
-    doubt = np.diagonal(np.linalg.inv(blocks.normal + 1e-3 * np.eye(TONES)), axis1=1, axis2=2)
+    inverse = np.linalg.inv(blocks.normal + 1e-3 * np.eye(TONES))
+    doubt, tones = np.diagonal(inverse, axis1=1, axis2=2), (inverse @ sums)[..., 0]
     told: list[float] = []
     for kind in (slice(0, JOINT), slice(JOINT, TONES)):
         v, t = doubt[:, kind], tones[:, kind]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from autoreg.design_effect import design_effects, drawn_design_effect
+from autoreg.design_effect import Asked, design_effects, drawn_design_effect
 
 SIDE, UNKNOWNS = 12, 5
 PLACES = np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), -1).reshape(-1, 2).astype(float)
-NO_RIDGE = np.zeros((UNKNOWNS, UNKNOWNS))
 
 
 def solved_scores(seed: int, slab_sigma: float) -> tuple[np.ndarray, np.ndarray]:
@@ -31,11 +30,13 @@ def solved_scores(seed: int, slab_sigma: float) -> tuple[np.ndarray, np.ndarray]
     return np.einsum("cpk,cp->ck", columns, left), np.einsum("cpk,cpl->ckl", columns, columns)
 
 
+def by_cells(scores: np.ndarray, told: np.ndarray, unknowns: slice) -> tuple[float, float]:
+    asked = Asked.of(told.sum(0), unknowns)
+    return design_effects(scores @ asked.combined.T, asked.combined @ told, asked, PLACES, 1.0)
+
+
 def effects(slab_sigma: float, asked: slice) -> np.ndarray:
-    pairs = [
-        design_effects(scores, told, NO_RIDGE, PLACES, 1.0, asked)
-        for scores, told in (solved_scores(seed, slab_sigma) for seed in range(60))
-    ]
+    pairs = [by_cells(*solved_scores(seed, slab_sigma), asked) for seed in range(60)]
     return np.mean(pairs, 0)
 
 

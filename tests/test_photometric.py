@@ -18,13 +18,23 @@ from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.joint_image import JointImage, Shape, with_looks
-from autoreg.joint_pixels import JOINT, R2, SHOULDER_BLURS, TONES, JointPixels, joint_pixels, thinned
+from autoreg.joint_pixels import (
+    CROSSING,
+    JOINT,
+    R2,
+    SHOULDER_BLURS,
+    TONES,
+    JointPixels,
+    View,
+    joint_pixels,
+    thinned,
+)
 from autoreg.last_step import likeliest, rested
 from autoreg.measured_joints import without_washed_out
 from autoreg.photometric import on_grey_levels
-from autoreg.photometric_step import first_state, stepped, told_by_cells
+from autoreg.photometric_step import Step, first_state, stepped, stepped_on, told, told_by_cells
 from autoreg.refine import refine_until_still
-from autoreg.stations import Grid, on_ground, project_ground, visible_sides
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, on_ground, project_ground, visible_sides
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground
 from autoreg.uncertainty import Settled, settle
 
@@ -119,49 +129,58 @@ def crossings_off_px(scene: SyntheticScene, pose: Rigid) -> float:
     return float(np.sqrt(np.mean(((at - true)[seen] ** 2).sum(1))))
 
 
+def images_of(pixels: JointPixels, shape: Shape) -> list[JointImage]:
+    return [JointImage(part, shape) for part in pixels.parts]
+
+
 @pytest.mark.parametrize("scene", [PLAIN, BOND, LENS])
 def test_drawn_pixels_are_those_of_the_renderer(scene: SyntheticScene) -> None:
     pixels = pixels_of(scene, clean(scene))
-    share = JointImage(pixels, shape_of(scene)).shares()
-    drawn = share @ np.array([scene.slab_tone] * JOINT + [scene.joint_tone])
-    off = drawn - pixels.grey
+    images = images_of(pixels, shape_of(scene))
+    tones = np.array([scene.slab_tone] * JOINT + [scene.joint_tone])
+    drawn = [(image.share * tones[image.pixels.tone % TONES]).sum(0) for image in images]
+    off = np.concatenate(drawn) - pixels.grey
     # The renderer's four samples of a pixel are no perfect square.
     assert np.sqrt(np.mean(off**2)) < 0.6
     assert np.abs(off).max() < 4.0
 
 
 def test_shares_at_crossings_are_those_of_the_normal_distribution() -> None:
-    image = JointImage(pixels_of(PLAIN, clean(PLAIN)), shape_of(PLAIN))
-    some = np.arange(0, image.pixels.counts[0], 97)
-    edges_x, edges_y = image.at_column, image.at_line
+    image = images_of(pixels_of(PLAIN, clean(PLAIN)), shape_of(PLAIN))[0]
+    assert image.pixels.kind == CROSSING
+    some = np.arange(0, len(image.pixels), 97)
     for p, r in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        edge_x, edge_y = image.joints[ALONG_Y][p], image.joints[ALONG_X][r]
         sign = 1.0 if p == r else -1.0
-        rho = sign * (edges_x.normal[p] * edges_y.normal[r]).sum(0)[some]
-        z = np.stack([edges_x.z[p][some], edges_y.z[r][some]], 1)
+        cosine = (edge_x.normal * edge_y.normal).sum(0) / (edge_x.size * edge_y.size)
+        rho = sign * cosine[some]
+        z = np.stack([edge_x.z[some], edge_y.z[some]], 1)
         exact = [
             multivariate_normal.cdf(at, cov=np.array([[1.0, c], [c, 1.0]]))
             for at, c in zip(z, rho, strict=True)
         ]
-        assert image.shares()[some, p + 2 * r] == pytest.approx(exact, abs=1e-5)
+        assert image.share[p + 2 * r, some] == pytest.approx(exact, abs=1e-5)
 
 
 def test_shares_are_parts_of_one() -> None:
-    share = JointImage(pixels_of(BOND, clean(BOND)), shape_of(BOND)).shares()
-    assert share.sum(1) == pytest.approx(1.0)
-    assert share.min() > -1e-6
+    for image in images_of(pixels_of(BOND, clean(BOND)), shape_of(BOND)):
+        assert image.share.sum(0) == pytest.approx(1.0)
+        assert image.share.min() > -1e-6
 
 
 @pytest.mark.parametrize("scene", [PLAIN, BOND, LENS])
 def test_slopes_are_finite_differences(scene: SyntheticScene) -> None:
     shape, pixels = shape_of(scene), pixels_of(scene, clean(scene))
-    tones = np.random.default_rng(0).uniform(60, 200, (len(pixels), TONES))
+    tones = np.random.default_rng(0).uniform(60, 200, (pixels.blocks, TONES)).ravel()
 
     def drawn(shape: Shape) -> np.ndarray:
-        return (JointImage(pixels, shape).shares() * tones).sum(1)
+        images = images_of(pixels, shape)
+        return np.concatenate([(image.share * tones[image.pixels.tone]).sum(0) for image in images])
 
-    image = JointImage(pixels, shape)
-    slopes = image.slopes(tones)
-    by_pose = image.by_pose(slopes)
+    images = images_of(pixels, shape)
+    slopes = [image.slopes(tones[image.pixels.tone]) for image in images]
+    by_pose = np.concatenate([image.by_pose(own) for image, own in zip(images, slopes, strict=True)], 1)
+    by_looks = np.concatenate([own.by_looks for own in slopes], 1)
     for k in range(6):
         step = np.zeros(6)
         step[k] = 1e-5
@@ -177,43 +196,79 @@ def test_slopes_are_finite_differences(scene: SyntheticScene) -> None:
         ]
         numeric = (drawn(ends[0]) - drawn(ends[1])) / 2e-5
         # How the blur's size on the ground changes with the pose is left out.
-        assert np.linalg.norm(by_pose[:, k] - numeric) < 0.04 * np.linalg.norm(numeric)
+        assert np.linalg.norm(by_pose[k] - numeric) < 0.04 * np.linalg.norm(numeric)
     for k in range(3):
         step = np.zeros(3)
         step[k] = 1e-5
         numeric = (drawn(with_looks(shape, step)) - drawn(with_looks(shape, -step))) / 2e-5
-        assert np.linalg.norm(slopes.by_looks[:, k] - numeric) < 0.02 * np.linalg.norm(numeric)
+        assert np.linalg.norm(by_looks[k] - numeric) < 0.02 * np.linalg.norm(numeric)
+
+
+def taken(pixels: JointPixels) -> Step:
+    step = stepped(pixels, first_state(pixels, shape_of(PLAIN), fitted(PLAIN, 1)))
+    assert step is not None
+    return step
 
 
 def test_pixels_drawn_in_parts_take_the_step_of_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    picture, fit = photo_of(PLAIN, 1), fitted(PLAIN, 1)
-    pixels = pixels_of(PLAIN, picture)
-    whole = stepped(pixels, first_state(pixels, shape_of(PLAIN), fit))
-    parts = pixels.parts(len(pixels) // 5)
+    monkeypatch.setattr("autoreg.joint_pixels.AT_ONCE", 10**6)
+    pixels = pixels_of(PLAIN, photo_of(PLAIN, 1))
+    whole = taken(pixels)
+    monkeypatch.setattr("autoreg.joint_pixels.AT_ONCE", len(pixels) // 5)
+    parts = replace(pixels).parts
     assert sum(len(part) for part in parts) == len(pixels)
     assert np.array_equal(np.concatenate([part.cell for part in parts]), pixels.cell)
     assert np.array_equal(np.sum([part.counts for part in parts], 0), pixels.counts)
-    monkeypatch.setattr("autoreg.photometric_step.MOST_AT_ONCE", len(pixels) // 5)
-    pieces = stepped(pixels, first_state(pixels, shape_of(PLAIN), fit))
-    assert whole is not None
-    assert pieces is not None
-    assert len(pieces.parts) == 5
-    assert len(whole.parts) == 1
+    pieces = taken(replace(pixels))
+    assert len(whole.parts) == 3
+    assert len(pieces.parts) > 5
     assert pieces.sigmas == pytest.approx(whole.sigmas, rel=1e-6)
     assert pieces.state.shape.pose.t == pytest.approx(whole.state.shape.pose.t, abs=1e-9)
-    unknowns = whole.free
-    for one, other in zip(told_by_cells(pieces, unknowns), told_by_cells(whole, unknowns), strict=True):
+    free, ask = whole.normal.free, np.random.default_rng(0).standard_normal((3, len(whole.normal.free)))
+    both = [
+        (*told(step, free), *told_by_cells(step, free, ask, np.zeros(len(free)))) for step in (pieces, whole)
+    ]
+    for one, other in zip(*both, strict=True):
         assert np.allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
+
+
+def test_what_cells_tell_adds_up_to_what_all_pixels_do() -> None:
+    step = taken(pixels_of(PLAIN, photo_of(PLAIN, 1)))
+    free = step.normal.free
+    ask = np.random.default_rng(0).standard_normal((3, len(free)))
+    information, score = told(step, free)
+    scores, of_cells = told_by_cells(step, free, ask, np.zeros(len(free)))
+    assert of_cells.sum(0) == pytest.approx(ask @ information, rel=1e-6, abs=1e-6 * np.abs(information).max())
+    unit = np.sqrt(np.diag(information)).sum()
+    assert scores.sum(0) == pytest.approx(ask @ score, rel=1e-6, abs=1e-6 * unit)
+    # A step takes from every cell's score what its information makes of it.
+    moved = 1e-3 * np.random.default_rng(1).standard_normal(len(free)) / np.sqrt(np.diag(information))
+    after, _ = told_by_cells(step, free, ask, moved)
+    assert after == pytest.approx(scores - of_cells @ moved, rel=1e-6, abs=1e-6 * np.abs(scores).max())
+
+
+def test_a_step_by_the_last_derivatives_ends_where_one_by_new_ones_does() -> None:
+    pixels = pixels_of(PLAIN, photo_of(PLAIN, 1))
+    first = taken(pixels)
+    second = stepped(pixels, first.state)
+    assert second is not None
+    short, full = stepped_on(second), stepped(pixels, second.state)
+    assert short is not None
+    assert full is not None
+    # In standard deviations of the pose: weights and ridge are those of the step before.
+    away = short.state.shape.pose.t - full.state.shape.pose.t
+    H = full.normal.H[3:6, 3:6] / full.state.noise**2
+    assert np.sqrt(away @ H @ away) < 0.2
 
 
 def test_pixels_are_those_near_joints_and_thinned_evenly() -> None:
     pixels, shape = pixels_of(PLAIN, clean(PLAIN)), shape_of(PLAIN)
-    image = JointImage(pixels, shape)
-    off = image.view.ground / np.array(PLAIN.spacing_m)
-    off = np.abs(off - np.rint(off)) * np.array(PLAIN.spacing_m)
-    size = [image.view.across(k, image.view.ground[:, k], pixels.per_px)[1] for k in (0, 1)]
-    off_px = [off[:, k] * image.view.depth / size[k] for k in (0, 1)]
-    half = [0.5 * PLAIN.joint_width_m * image.view.depth / size[k] for k in (0, 1)]
+    view, spacing = View.of(pixels.rays, shape.pose), np.array(PLAIN.spacing_m)[:, None]
+    off = view.ground / spacing
+    off = np.abs(off - np.rint(off)) * spacing
+    size = [view.across(k, view.ground[k], pixels.per_px)[1] for k in (0, 1)]
+    off_px = [off[k] * view.depth / size[k] for k in (0, 1)]
+    half = [0.5 * PLAIN.joint_width_m * view.depth / size[k] for k in (0, 1)]
     assert np.all(np.minimum(off_px[0] - half[0], off_px[1] - half[1]) < SHOULDER_BLURS * TOTAL_BLUR + 1e-6)
     some = pixels_of(PLAIN, clean(PLAIN), most=len(pixels) // 4)
     assert 0.6 * len(pixels) / 4 < len(some) < 1.02 * len(pixels) / 4
@@ -226,7 +281,7 @@ def test_a_few_pixels_of_a_large_picture_are_spread_over_its_joints() -> None:
     scene = replace(PLAIN, camera=camera)
     pixels = pixels_of(scene, np.zeros((8 * 360, 8 * 480), np.float32), 20_000)
     assert 0.6 * 20_000 < len(pixels) < 1.02 * 20_000
-    at = np.rint(camera.project(pixels.rays)).astype(int)
+    at = np.rint(camera.project(pixels.rays.T)).astype(int)
     assert len(np.unique(at, axis=0)) == len(at)
     ground = on_ground(at.astype(float), camera, PLAIN.cam_from_ground)
     off = np.abs(ground - np.rint(ground / PLAIN.spacing_m) * PLAIN.spacing_m).min(1)
@@ -242,17 +297,18 @@ def test_a_few_pixels_of_a_large_picture_are_spread_over_its_joints() -> None:
 
 
 def test_noise_is_told_as_well_by_a_few_pixels_for_each_tone() -> None:
-    # Slabs of their own tones, so that these are fitted and not known beforehand.
-    scene = replace(PLAIN, tone_spread=0.06)
-    picture, fit = photo_of(scene, 0), fitted(scene, 0)
-    pixels = pixels_of(scene, picture).thinned(24)
-    state = first_state(pixels, shape_of(scene), fit)
-    for _ in range(3):
-        step = stepped(pixels, state)
-        assert step is not None
-        state = step.state
-    assert len(pixels) < 8 * pixels.blocks
-    assert state.noise == pytest.approx(PLAIN.noise_grey, rel=0.06)
+    for seed in range(3):
+        # Slabs of their own tones, so that these are fitted and not known beforehand.
+        scene = replace(PLAIN, tone_spread=0.06, seed=seed)
+        picture, fit = photo_of(scene, seed), fitted(scene, seed)
+        pixels = pixels_of(scene, picture).thinned(12)
+        state = first_state(pixels, shape_of(scene), fit)
+        for _ in range(3):
+            step = stepped(pixels, state)
+            assert step is not None
+            state = step.state
+        assert len(pixels) < 14 * pixels.blocks
+        assert state.noise == pytest.approx(PLAIN.noise_grey, rel=0.06)
 
 
 def test_the_pose_of_a_picture_without_noise_is_exact() -> None:
