@@ -15,6 +15,12 @@ from autoreg.stations import ALONG_X, ALONG_Y
 
 # Slope across the joint (ground distance over camera height) at which the relief stops growing.
 KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
+# A dark wall hides the bed as well, but shows where the joint ends once it has hidden it all: slopes at which
+# it is half hidden, that at which nothing is left of it as a multiple of these, and the size of such shifts.
+HALF_HIDDEN, HIDDEN, DARK_WALL = (0.5, 0.9, 1.6), 2.2, 0.3
+# The same moves a joint's middle by more than the widths show, since what is left is darkest beside the near
+# slab: by such a share of the width.
+DARK_SIDE_SLOPES, DARK_SIDE_END, DARK_SIDE = (0.8, 1.3), 2.5, 0.03
 # Shift of a joint's far edge by a shadow on the bed, against that by a lit wall, and the near edge's against
 # the far one's.
 FAR_SHADE, NEAR_SHADE = 0.4, 0.2
@@ -84,6 +90,7 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     fading = [FAR_SHADE * np.ones_like(slope)]
     fading += [0.7 * FAR_SHADE * np.maximum(0.0, 1.0 - steep / knee) for knee in (0.8, 2.0)]
     walls = [np.minimum(steep / knee, 1.0) / np.sqrt(len(KNEES)) for knee in KNEES]
+    walls += [DARK_WALL * _hump(steep, peak, HIDDEN) for peak in HALF_HIDDEN]
     far, near = [], []
     for own in (ALONG_X, ALONG_Y):
         for way in (-1.0, 1.0):
@@ -123,13 +130,26 @@ def narrowing(joints: MeasuredJoints) -> float:
     return found
 
 
-def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 8"]:
-    """Pixels by which the joints of a family may lie off together: alike, or by how steeply they are seen."""
+def _hump(steep: Float[np.ndarray, " n"], peak: float, end: float) -> Float[np.ndarray, " n"]:
+    """A shift that grows with the slope of the view to one, and is gone at so many times that slope."""
+    return np.interp(steep, [0.0, peak, end * peak], [0.0, 1.0, 0.0])
+
+
+def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 16"]:
+    """Pixels by which the joints of a family may lie off together, whatever their widths are.
+
+    Alike, or by how steeply they are seen; those seen from one side also by how dark their walls are.
+    """
     slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
     soon, late = (np.clip(slope / knee, -1.0, 1.0) for knee in (SOON, LATE))
     shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
-    size = TOGETHER * _full_width_px(joints)
-    own = [shapes * (size * (family == each))[:, None] for each in (ALONG_X, ALONG_Y)]
+    full, steep = _full_width_px(joints), np.abs(slope)
+    own = [shapes * (TOGETHER * full * (family == each))[:, None] for each in (ALONG_X, ALONG_Y)]
+    dark = np.stack([_hump(steep, peak, DARK_SIDE_END) for peak in DARK_SIDE_SLOPES], 1)
+    for each in (ALONG_X, ALONG_Y):
+        for way in (-1.0, 1.0):
+            seen = (family == each) & (way * slope > 0)
+            own.append(dark * (DARK_SIDE * way * full * seen)[:, None])
     return joints.middles_only(np.concatenate(own, 1))
 
 
