@@ -135,16 +135,17 @@ def stepped(pixels: JointPixels, state: State) -> Step | None:
 
 
 def stepped_on(last: Step) -> Step | None:
-    """A further step by the derivatives, weights and ridge of the last one, which small steps hardly change.
+    """A further step by the shares, derivatives, weights and ridge of the last one.
 
-    What is drawn anew are the shares alone.
+    Small steps hardly change these. The grey levels are those that they would have to explain: what the new
+    shares leave, and what the old ones have of the tones as they are now.
     """
     state, pixels, normal = last.state, last.pixels, last.normal
-    grey: list[np.ndarray] = []
-    for part in last.parts:
-        # As the old shares would have them if all tones were as they are now.
-        off = _without_tones(JointImage(part.image.pixels, state.shape), state.tones)
-        grey.append(off + part.image.pixels.grey - _without_tones(part.image, state.tones))
+    grey = [
+        _without_tones(JointImage(part.image.pixels, state.shape), state.tones)
+        + _explained(part.image, state.tones)
+        for part in last.parts
+    ]
     sums = _tones_of(last, grey)[..., None]
     solved = normal.blocks.solve(sums, normal.ridge)
     products = [part.columns[:-1] @ (part.weight * own) for part, own in zip(last.parts, grey, strict=True)]
@@ -214,12 +215,18 @@ def _dense(image: JointImage) -> Float[np.ndarray, "n t"]:
 
 def _without_tones(image: JointImage, tones: np.ndarray) -> Float[np.ndarray, " n"]:
     """Grey levels without what the tones of their blocks explain."""
-    return image.pixels.grey - (image.share * tones.ravel()[image.pixels.tone]).sum(0)
+    return image.pixels.grey - _explained(image, tones)
+
+
+def _explained(image: JointImage, tones: np.ndarray) -> Float[np.ndarray, " n"]:
+    """What the tones of their blocks explain of the grey levels."""
+    return (image.share * tones.ravel()[image.pixels.tone]).sum(0)
 
 
 def _left(part: Part, tones: np.ndarray, step: np.ndarray) -> Float[np.ndarray, " n"]:
-    """What a step leaves of a part's grey levels."""
-    return _without_tones(part.image, tones) - step[: MEANS.start] @ part.columns[: MEANS.start]
+    """What a step leaves of a part's grey levels, those in its columns."""
+    moved = step[: MEANS.start] @ part.columns[: MEANS.start]
+    return part.columns[-1] - _explained(part.image, tones) - moved
 
 
 def _imitated(sums: Float[np.ndarray, "m t p"], solved: Float[np.ndarray, "m t q"]) -> np.ndarray:

@@ -259,6 +259,11 @@ def test_a_step_by_the_last_derivatives_ends_where_one_by_new_ones_does() -> Non
     away = short.state.shape.pose.t - full.state.shape.pose.t
     H = full.normal.H[3:6, 3:6] / full.state.noise**2
     assert np.sqrt(away @ H @ away) < 0.2
+    # It leaves what its own pose and tones leave: nothing of earlier steps is there to be taken again.
+    images, tones = images_of(pixels, short.state.shape), short.state.tones.ravel()
+    drawn = np.concatenate([(image.share * tones[image.pixels.tone]).sum(0) for image in images])
+    off = np.concatenate(short.left) - (pixels.grey - drawn)
+    assert np.abs(off).max() < 0.005 * short.state.noise
 
 
 def test_pixels_are_those_near_joints_and_thinned_evenly() -> None:
