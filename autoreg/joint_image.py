@@ -26,6 +26,7 @@ MOST_CORRELATED = 0.999
 STRIP_BLURS = 1.5
 # Slope of the view, ground distance over height, at which what depends on it is as large as it gets.
 SOON = 1.6
+# Height of the normal distribution.
 BELL = 1.0 / np.sqrt(2.0 * np.pi)
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(6)
 

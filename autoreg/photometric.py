@@ -26,13 +26,14 @@ from jaxtyping import Float
 from scipy.special import chdtri
 
 from autoreg import joint_data as terms
+from autoreg.cell_scores import told, told_by_cells, with_doubts
 from autoreg.design_effect import Asked, design_effects
 from autoreg.fit import LEAST_WEIGHT, Fit
 from autoreg.freedom import stretched
 from autoreg.image_doubts import Averaged, Doubt, averaged_over
 from autoreg.joint_data import PARAMETERS
 from autoreg.joint_image import Shape
-from autoreg.joint_pixels import CLEAR_BLURS, joint_pixels
+from autoreg.near_joints import CLEAR_BLURS, joint_pixels
 from autoreg.photometric_step import (
     DOUBTED,
     UNKNOWNS,
@@ -41,9 +42,6 @@ from autoreg.photometric_step import (
     moved_shape,
     stepped,
     stepped_on,
-    told,
-    told_by_cells,
-    with_doubts,
 )
 from autoreg.stations import Sides, visible_sides
 

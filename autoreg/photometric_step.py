@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,9 +29,6 @@ LEAST_NOISE = 0.05
 LOOKS, MEANS, UNKNOWNS, DOUBTED = slice(7, 10), slice(10, 12), 12, 11
 # Columns of a pixel in a step: the derivatives, and its grey level.
 COLUMNS = UNKNOWNS + 1
-# Where tiles meet without a joint that shows, there may be a hairline as wide as what is taken for none. Its
-# tone moves the step by up to half of that.
-HAIRLINE = 0.3
 
 
 @dataclass(frozen=True)
@@ -107,7 +103,8 @@ def first_state(pixels: JointPixels, shape: Shape, fit: Fit) -> State:
     middles = np.tile(middle, (pixels.blocks, 1))
     parts = [Shares(image.pixels, image.share, np.ones(len(image.pixels))) for image in images]
     away = [np.column_stack([_without_tones(image, middles), _dense(image)]) for image in images]
-    total = over_parts(pixels.blocks, [(own, own.sums(each)) for own, each in zip(parts, away, strict=True)])
+    sums = [part.sums(each) for part, each in zip(parts, away, strict=True)]
+    total = over_parts(pixels.blocks, parts, sums)
     blocks = Blocks(total[..., 1:])
     tones = middle + blocks.solve(total[..., :1], FIRST_RIDGE)[..., 0]
     left = np.concatenate([_without_tones(image, tones) for image in images])
@@ -124,12 +121,12 @@ def stepped(pixels: JointPixels, state: State) -> Step | None:
         weight = _robust(off, state.noise, pixels.cell)
     drawn = zip(images, pixels.of_parts(weight), strict=True)
     parts, sums, squares = zip(*(_part(*each, state.tones) for each in drawn), strict=True)
-    total = over_parts(pixels.blocks, [(part.shares, own) for part, own in zip(parts, sums, strict=True)])
+    total = over_parts(pixels.blocks, [part.shares for part in parts], sums)
     blocks, sums = Blocks(total[..., COLUMNS:]), total[..., :COLUMNS]
     variances = tone_variances(blocks, sums[..., -1:], state.noise)
     ridge = state.noise**2 / np.r_[[variances[0]] * JOINT, variances[1]]
     solved = blocks.solve(sums, ridge)
-    H = np.sum(squares, 0) - _imitated(sums, solved)
+    H = np.sum(squares, 0) - imitated(sums, solved)
     normal = Normal(freed(state.fit), weight, blocks, ridge, H[:-1, :-1], sums[..., :-1], solved[..., :-1])
     return _taken(state, pixels, list(parts), normal, H[:-1, -1], solved[..., -1])
 
@@ -146,10 +143,10 @@ def stepped_on(last: Step) -> Step | None:
         + _explained(part.image, state.tones)
         for part in last.parts
     ]
-    sums = _tones_of(last, grey)[..., None]
+    sums = tones_of(last, grey)[..., None]
     solved = normal.blocks.solve(sums, normal.ridge)
     products = [part.columns[:-1] @ (part.weight * own) for part, own in zip(last.parts, grey, strict=True)]
-    right = np.sum(products, 0) - _imitated(normal.sums, solved)[:, 0]
+    right = np.sum(products, 0) - imitated(normal.sums, solved)[:, 0]
     parts = [
         replace(part, columns=np.concatenate([part.columns[:-1], own[None]]))
         for part, own in zip(last.parts, grey, strict=True)
@@ -229,102 +226,16 @@ def _left(part: Part, tones: np.ndarray, step: np.ndarray) -> Float[np.ndarray, 
     return part.columns[-1] - _explained(part.image, tones) - moved
 
 
-def _imitated(sums: Float[np.ndarray, "m t p"], solved: Float[np.ndarray, "m t q"]) -> np.ndarray:
+def imitated(sums: Float[np.ndarray, "m t p"], solved: Float[np.ndarray, "m t q"]) -> np.ndarray:
     """Products of columns that the tones of all blocks take for their own."""
     return sums.reshape(-1, sums.shape[-1]).T @ solved.reshape(-1, solved.shape[-1])
 
 
-def with_doubts(last: Step, together: float) -> Step:
-    """The same step with the columns of what the drawing leaves out, instead of the grey levels.
-
-    The joints of a family may lie off `together` by such a share of their width.
-    """
-    widths = zip(last.state.shape.width, last.state.fit.strip.polarity, strict=True)
-    x, y = (together * width if polarity else HAIRLINE * width for width, polarity in widths)
-    parts, sums = zip(*(_doubted(part, (x, y)) for part in last.parts), strict=True)
-    total = over_parts(
-        last.pixels.blocks, [(part.shares, own) for part, own in zip(parts, sums, strict=True)]
-    )
-    normal = last.normal
-    solved = np.concatenate([normal.solved, normal.blocks.solve(total, normal.ridge)], 2)
-    normal = replace(normal, sums=np.concatenate([normal.sums, total], 2), solved=solved)
-    return replace(last, parts=list(parts), normal=normal)
-
-
-def _doubted(part: Part, off: tuple[float, float]) -> tuple[Part, Float[np.ndarray, "b t d"]]:
-    """A part with columns of what its grey levels change by where they are doubted, and the tones' products.
-
-    Joints are `off` by so much together.
-    """
-    image, slopes = part.image, part.slopes
-    more = np.concatenate([image.lopsided(), image.by_lens(slopes), image.together(slopes, off)])
-    columns = np.concatenate([part.columns[:-1], more])
-    return replace(part, columns=columns), part.shares.sums(np.ascontiguousarray(more.T))
-
-
-def told(
-    last: Step, unknowns: Int[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
-    """Information about some of the unknowns in all pixels, beyond what tones can imitate, and its score."""
-    products = [_squares(part, left, unknowns) for part, left in zip(last.parts, last.left, strict=True)]
-    squares, score = (np.sum(each, 0) for each in zip(*products, strict=True))
-    sums, solved = last.normal.sums[..., unknowns], last.normal.solved[..., unknowns]
-    score = score - np.einsum("mtk,mt->k", solved, _tones_of(last, last.left))
-    return squares - _imitated(sums, solved), score
-
-
-def _squares(part: Part, left: np.ndarray, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    columns = part.columns[unknowns]
-    weighted = columns * np.sqrt(part.weight)
-    return weighted @ weighted.T, columns @ (part.weight * left)
-
-
-def _tones_of(last: Step, left: list[np.ndarray]) -> Float[np.ndarray, "m t"]:
+def tones_of(last: Step, left: list[np.ndarray]) -> Float[np.ndarray, "m t"]:
     """Weighted products of all tones' shares with what is left of the grey levels."""
-    parts = [
-        (part.shares, part.shares.sums(own[:, None])) for part, own in zip(last.parts, left, strict=True)
-    ]
-    return over_parts(last.pixels.blocks, parts)[..., 0]
-
-
-def told_by_cells(
-    last: Step, unknowns: Int[np.ndarray, " k"], ask: Float[np.ndarray, "j k"], step: Float[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, "c j"], Float[np.ndarray, "c j k"]]:
-    """What every cell tells of some combinations `ask` of the unknowns: its score, and its information.
-
-    As far as no tone can imitate it; the score is what is left of it when all have taken a `step`. The sum
-    of what all cells tell is the combinations' part of the normal matrix.
-    """
-    pixels, normal = last.pixels, last.normal
-    left = [own - step @ part.columns[unknowns] for part, own in zip(last.parts, last.left, strict=True)]
-    sums = np.swapaxes(normal.sums[..., unknowns] @ ask.T, 1, 2)
-    # The score's column is the last.
-    tones = normal.blocks.solve(_tones_of(last, left)[..., None], normal.ridge)
-    imitated = sums @ np.concatenate([normal.solved[..., unknowns], tones], 2)
-    # Blocks are numbered cell by cell.
-    cell = np.zeros(pixels.blocks, dtype=np.int64)
-    cell[pixels.block] = pixels.cell
-    total = -np.add.reduceat(imitated, np.searchsorted(cell, np.arange(pixels.cells)), axis=0)
-    for part, own in zip(last.parts, left, strict=True):
-        of_part = _told_by_cells(part, own, unknowns, ask)
-        first = part.image.pixels.cell[0]
-        total[first : first + len(of_part)] += of_part
-    return total[..., -1], total[..., :-1]
-
-
-def _told_by_cells(
-    part: Part, left: np.ndarray, unknowns: np.ndarray, ask: np.ndarray
-) -> Float[np.ndarray, "b j k"]:
-    """What a part's pixels tell, cell by cell, if they have the tones that they have."""
-    cell = part.image.pixels.cell
-    columns = np.concatenate([part.columns[unknowns], left[None]])
-    asked = (ask @ columns[:-1]) * part.weight
-    ends = np.cumsum(np.bincount(cell - cell[0])).tolist()
-    found = np.zeros((len(ends), len(ask), len(columns)))
-    for own, (start, end) in zip(found, pairwise([0, *ends]), strict=True):
-        if end > start:
-            np.matmul(asked[:, start:end], columns[:, start:end].T, out=own)
-    return found
+    parts = [part.shares for part in last.parts]
+    sums = [part.sums(own[:, None]) for part, own in zip(parts, left, strict=True)]
+    return over_parts(last.pixels.blocks, parts, sums)[..., 0]
 
 
 def freed(fit: Fit) -> Int[np.ndarray, " k"]:

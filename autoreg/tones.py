@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -31,14 +31,13 @@ class Shares:
         return np.asarray(self.gather @ columns).reshape(-1, TONES, columns.shape[1])
 
 
-def over_parts(blocks: int, parts: Iterable[tuple[Shares, np.ndarray]]) -> Float[np.ndarray, "m t c"]:
+def over_parts(
+    blocks: int, parts: Sequence[Shares], sums: Sequence[np.ndarray]
+) -> Float[np.ndarray, "m t c"]:
     """Sums over all pixels, from those of each part."""
-    total: np.ndarray | None = None
-    for shares, sums in parts:
-        if total is None:
-            total = np.zeros((blocks, *sums.shape[1:]))
-        total[shares.blocks] += sums
-    assert total is not None
+    total = np.zeros((blocks, *sums[0].shape[1:]))
+    for part, own in zip(parts, sums, strict=True):
+        total[part.blocks] += own
     return total
 
 

@@ -14,25 +14,17 @@ from scipy.stats import chi2, multivariate_normal
 
 from autoreg import photometric
 from autoreg.camera import Camera
+from autoreg.cell_scores import told, told_by_cells
 from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.joint_image import JointImage, Shape, with_looks
-from autoreg.joint_pixels import (
-    CROSSING,
-    JOINT,
-    R2,
-    SHOULDER_BLURS,
-    TONES,
-    JointPixels,
-    View,
-    joint_pixels,
-    thinned,
-)
+from autoreg.joint_pixels import CROSSING, JOINT, TONES, JointPixels, View
 from autoreg.last_step import likeliest, rested
 from autoreg.measured_joints import without_washed_out
+from autoreg.near_joints import R2, SHOULDER_BLURS, joint_pixels, thinned
 from autoreg.photometric import on_grey_levels
-from autoreg.photometric_step import Step, first_state, stepped, stepped_on, told, told_by_cells
+from autoreg.photometric_step import Step, first_state, stepped, stepped_on
 from autoreg.refine import refine_until_still
 from autoreg.stations import ALONG_X, ALONG_Y, Grid, on_ground, project_ground, visible_sides
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground
