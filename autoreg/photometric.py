@@ -33,10 +33,12 @@ from autoreg.freedom import stretched
 from autoreg.image_doubts import Averaged, Doubt, averaged_over
 from autoreg.joint_data import PARAMETERS
 from autoreg.joint_image import Shape
+from autoreg.joint_pixels import JOINT
 from autoreg.near_joints import CLEAR_BLURS, joint_pixels
 from autoreg.photometric_step import (
     DOUBTED,
     UNKNOWNS,
+    State,
     Step,
     first_state,
     moved_shape,
@@ -83,11 +85,13 @@ class Photometric:
     """A fit at the pose of the grey levels, its covariance on the camera's side, and what it rests on.
 
     `plain` is the covariance if joints look just as they are drawn, `doubted` what is added as they may not.
+    `lopsided` is by how much the joints' far and near halves differ, as a share of their contrast.
     """
 
     fit: Fit
     plain: Float[np.ndarray, "6 6"]
     doubted: Float[np.ndarray, "6 6"]
+    lopsided: float
     noise_grey: float
     design_effect: float
     pixels: int
@@ -199,7 +203,15 @@ def _judged(
         strip=replace(fit.strip, width=shape.width),
         distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
     )
-    return Photometric(moved, plain, doubted, state.noise, effect, len(pixels))
+    halves = np.abs(answer.step[len(last.normal.free) :][:2])
+    lopsided = float(halves.max()) / _contrast(state)
+    return Photometric(moved, plain, doubted, lopsided, state.noise, effect, len(pixels))
+
+
+def _contrast(state: State) -> float:
+    """Grey levels between slabs and joints."""
+    tone = state.tones.mean(0)
+    return max(abs(float(tone[:JOINT].mean() - tone[JOINT])), 1.0)
 
 
 def _averaged(last: Step, together: float) -> tuple[Averaged, float]:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_matrix
 
+from autoreg.fit import Fit
 from autoreg.joint_image import SOON
 from autoreg.measured_joints import MeasuredJoints
 from autoreg.stations import ALONG_X, ALONG_Y
@@ -20,13 +21,23 @@ KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
 HALF_HIDDEN, HIDDEN, DARK_WALL = (0.5, 0.9, 1.6), 2.2, 0.3
 # The same moves a joint's middle by more than the widths show, since what is left is darkest beside the near
 # slab: by such a share of the width.
-DARK_SIDE_SLOPES, DARK_SIDE_END, DARK_SIDE = (0.8, 1.3), 2.5, 0.03
+DARK_SIDE_SLOPES, DARK_SIDE_END, DARK_SIDE = (0.8, 1.3), 2.5, 0.04
+# Where a joint is hardly wider than so many blurs its middle is that of its darkness, not of its edges, and
+# moves by another share of the width.
+BLURRED_BLURS, BLURRED_SIDE = 2.5, 0.02
+# Walls that are lit, shaded and dark in parts have yet other shapes: any that changes between these slopes.
+BUMP_SLOPES, BUMP = (0.2, 0.4, 0.7, 1.1, 1.6, 2.3, 3.2, 4.5), 0.015
 # Shift of a joint's far edge by a shadow on the bed, against that by a lit wall, and the near edge's against
 # the far one's.
 FAR_SHADE, NEAR_SHADE = 0.4, 0.2
 # What all joints of a family may be off by together, as a share of their width, and the slope besides SOON at
 # which this differs most: real walls and shadows have shapes that are not drawn, as ray-traced pavings show.
 TOGETHER, LATE = 0.03, 4.0
+# Where a family shows as steps of tone only, these lie at a rim of its joints, may be off together by more,
+# and by less of the shifts that the other family's widths tell, since no widths of their own say how far.
+STEPS_TOGETHER, STEPS_RELIEF = 0.2, 0.25
+# Combinations of effects that are this small beside the largest are left out.
+LEAST_EFFECT = 0.005
 # What tells that joints look narrower aslant: so many of them, whose widths differ by such a share among
 # themselves, and a slope of so many standard deviations.
 FEWEST_SEEN, UNEVEN_SHARE, CLEAR_SIGMAS = 10, 0.02, 3.0
@@ -86,7 +97,7 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """
     slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
     steep, facing = np.abs(slope), np.where(slope < 0, -1.0, 1.0)
-    full = _full_width_px(joints)
+    full, steps = _full_width_px(joints), _only_steps(joints.fit)
     fading = [FAR_SHADE * np.ones_like(slope)]
     fading += [0.7 * FAR_SHADE * np.maximum(0.0, 1.0 - steep / knee) for knee in (0.8, 2.0)]
     walls = [np.minimum(steep / knee, 1.0) / np.sqrt(len(KNEES)) for knee in KNEES]
@@ -94,16 +105,14 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     far, near = [], []
     for own in (ALONG_X, ALONG_Y):
         for way in (-1.0, 1.0):
-            mine = full * (family == own)
+            mine = full * (family == own) * (STEPS_RELIEF if own in steps else 1.0)
             there = facing == way
             far += [mine * there * shift for shift in (*walls, *fading)]
             # The edge on one side of a joint is the far one for some stations, the near one for others.
             near += [np.zeros_like(slope)] * len(walls) + [mine * ~there * NEAR_SHADE * f for f in fading]
     beyond, before = np.stack(far, 1), np.stack(near, 1)
     width = facing[joints.wide, None] * (beyond - before)[joints.wide]
-    # The same covariance in fewer columns.
-    U, size, _ = np.linalg.svd(np.concatenate([0.5 * (beyond + before), width]), full_matrices=False)
-    return (U * size)[:, size > 0.01 * size[0]]
+    return _in_fewer_columns(np.concatenate([0.5 * (beyond + before), width]))
 
 
 def narrowing(joints: MeasuredJoints) -> float:
@@ -135,22 +144,50 @@ def _hump(steep: Float[np.ndarray, " n"], peak: float, end: float) -> Float[np.n
     return np.interp(steep, [0.0, peak, end * peak], [0.0, 1.0, 0.0])
 
 
-def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 16"]:
+def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """Pixels by which the joints of a family may lie off together, whatever their widths are.
 
-    Alike, or by how steeply they are seen; those seen from one side also by how dark their walls are.
+    Alike, or by how steeply they are seen; those seen from one side also by how their walls look.
     """
     slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
     soon, late = (np.clip(slope / knee, -1.0, 1.0) for knee in (SOON, LATE))
     shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
-    full, steep = _full_width_px(joints), np.abs(slope)
-    own = [shapes * (TOGETHER * full * (family == each))[:, None] for each in (ALONG_X, ALONG_Y)]
-    dark = np.stack([_hump(steep, peak, DARK_SIDE_END) for peak in DARK_SIDE_SLOPES], 1)
+    full, walls = _full_width_px(joints), _wall_shapes(joints)
+    own: list[np.ndarray] = []
+    for each in (ALONG_X, ALONG_Y):
+        size = STEPS_TOGETHER if each in _only_steps(joints.fit) else TOGETHER
+        own.append(shapes * (size * full * (family == each))[:, None])
     for each in (ALONG_X, ALONG_Y):
         for way in (-1.0, 1.0):
             seen = (family == each) & (way * slope > 0)
-            own.append(dark * (DARK_SIDE * way * full * seen)[:, None])
-    return joints.middles_only(np.concatenate(own, 1))
+            own.append(walls * (way * full * seen)[:, None])
+    return joints.middles_only(_in_fewer_columns(np.concatenate(own, 1)))
+
+
+def _wall_shapes(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
+    """Shares of their width by which walls that no width tells may move the joints seen from one side."""
+    steep = np.abs(_slope(joints))
+    dark = np.stack([_hump(steep, peak, DARK_SIDE_END) for peak in DARK_SIDE_SLOPES], 1)
+    blurs = _full_width_px(joints) / (BLURRED_BLURS * joints.fit.strip.blur_px)
+    blurred = dark / (1.0 + blurs**2)[:, None]
+    at, places = np.log(np.maximum(steep, 1e-3)), np.log(np.array(BUMP_SLOPES))
+    bumps = np.stack([np.interp(at, places, only) for only in np.eye(len(places))], 1)
+    return np.concatenate([DARK_SIDE * dark, BLURRED_SIDE * blurred, BUMP * bumps], 1)
+
+
+def _only_steps(fit: Fit) -> tuple[int, ...]:
+    """The family whose joints show as steps of tone only, although those across it are dark or light.
+
+    Lit walls hide its beds, and nothing tells how wide its joints are.
+    """
+    bare = tuple(own for own in (ALONG_X, ALONG_Y) if fit.strip.polarity[own] == 0)
+    return bare if len(bare) == 1 else ()
+
+
+def _in_fewer_columns(effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "n s"]:
+    """Effects of nearly the same covariance, as few as can be."""
+    square, V = np.linalg.eigh(effects.T @ effects)
+    return effects @ V[:, square > LEAST_EFFECT**2 * square[-1]]
 
 
 def _full_width_px(joints: MeasuredJoints) -> Float[np.ndarray, " n"]:

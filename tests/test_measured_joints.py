@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -15,9 +16,10 @@ from autoreg.freedom import Free
 from autoreg.geometry import vector_from_rotation
 from autoreg.image import as_gray
 from autoreg.joint_looks import width_px_of
-from autoreg.measured_joints import measured_joints, widths_told, without_washed_out
+from autoreg.measured_joints import MeasuredJoints, measured_joints, widths_told, without_washed_out
 from autoreg.refine import refine_until_still
-from autoreg.stations import ALONG_Y, Grid, project_ground
+from autoreg.slab_effects import STEPS_RELIEF, STEPS_TOGETHER, TOGETHER, common_effects, relief_effects
+from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from autoreg.uncertainty import settle
 from autoreg.widths import Widths
@@ -176,3 +178,24 @@ def test_dark_walls_that_hide_the_bed_hardly_move_the_pose(share: float):
     plain, dark = settle(fit).fit, settle(with_dark_walls(fit, share)).fit
     # A tenth of the median joint is 0.56 px here; shifts that only grow with the slope leave 0.67 px.
     assert joints_moved_px(plain, dark) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("effects", "change"), [(relief_effects, STEPS_RELIEF), (common_effects, STEPS_TOGETHER / TOGETHER)]
+)
+def test_a_family_of_steps_only_is_moved_less_by_relief_and_more_by_what_is_not_known(
+    effects: Callable[[MeasuredJoints], np.ndarray], change: float
+):
+    fit = fitted()
+    joints = measured_joints(fit, np.flatnonzero(fit.usable))
+    along_x = fit.stations.family[joints.rows] == ALONG_X
+
+    def sizes(polarity: tuple[int, int]) -> np.ndarray:
+        told = replace(joints, fit=replace(fit, strip=replace(fit.strip, polarity=polarity)))
+        return np.linalg.norm(effects(told)[: len(joints.rows)], axis=1)
+
+    lined, steps = sizes((-1, -1)), sizes((0, -1))
+    assert np.median(steps[along_x] / lined[along_x]) == pytest.approx(change, rel=0.35)
+    assert np.allclose(steps[~along_x], lined[~along_x], rtol=0.05)
+    # Tiles without any joints have no beds to hide.
+    assert np.allclose(sizes((0, 0)), lined)

@@ -450,9 +450,10 @@ def test_a_shadow_in_the_joints_does_not_pass_for_another_place(darker: float) -
     shaded = clean(PLAIN) - darker * joint_strip(PLAIN, 0.0, half)
     noise = PLAIN.noise_grey * np.random.default_rng(2).standard_normal(shaded.shape)
     picture = np.clip(np.rint(shaded + noise), 0, 255).astype(np.float32)
+    # Joints with unlike halves may be sunk, and so their rougher measured places have the last word.
     squares, off_px = error_in_sigmas(PLAIN, picture, PLAIN.camera)
-    assert squares < 22.5
-    assert off_px < 0.1
+    assert squares < chi2.ppf(0.95, 6)
+    assert off_px < 0.2
 
 
 def test_a_lens_that_is_a_little_off_is_no_surer_pose() -> None:
@@ -501,16 +502,21 @@ def test_pixels_of_a_large_mask_are_those_of_all_its_rows_at_once() -> None:
     assert len(some) == pytest.approx(2000, rel=0.02)
 
 
-@pytest.mark.parametrize("azimuth_deg", [45.0, 200.0])
-def test_even_slabs_with_sunk_joints_are_left_to_their_measured_places(azimuth_deg: float):
-    scene = replace(
+def sunk(depth_m: float, azimuth_deg: float) -> SyntheticScene:
+    """Even slabs with joints in the sun."""
+    return replace(
         PLAIN,
         cam_from_ground=look_at_ground(pitch_deg=45.0, height_m=1.4, heading_deg=23.0, foot_m=(0.13, 0.21)),
         spacing_m=(0.3, 0.3),
-        joint_depth_m=0.006,
+        joint_depth_m=depth_m,
         sun_elevation_rad=0.8,
         sun_azimuth_rad=float(np.deg2rad(azimuth_deg)),
     )
+
+
+@pytest.mark.parametrize("azimuth_deg", [45.0, 200.0])
+def test_even_slabs_with_sunk_joints_are_left_to_their_measured_places(azimuth_deg: float):
+    scene = sunk(0.006, azimuth_deg)
     settled = likeliest(photo_of(scene, 1), fitted(scene, 1))
     drawn = on_grey_levels(photo_of(scene, 1), settled.fit, settled.covariance, REACH)
     # Joints that are drawn flat fit the picture well enough to be believed, at a pose that is wrong.
@@ -520,3 +526,25 @@ def test_even_slabs_with_sunk_joints_are_left_to_their_measured_places(azimuth_d
     assert settled.narrowing > 0.12
     assert error @ np.linalg.solve(settled.covariance, error) < chi2.ppf(0.95, 6)
     assert rested(photo_of(scene, 1), settled, REACH) is settled
+
+
+@pytest.mark.parametrize("azimuth_deg", [90.0, 270.0])
+def test_sunk_joints_that_look_no_narrower_are_told_by_their_unlike_halves(azimuth_deg: float):
+    scene = sunk(0.004, azimuth_deg)
+    settled = likeliest(photo_of(scene, 1), fitted(scene, 1))
+    drawn = on_grey_levels(photo_of(scene, 1), settled.fit, settled.covariance, REACH)
+    assert drawn is not None
+    off, error = (error_of(scene, fit.cam_from_ground) for fit in (drawn.fit, settled.fit))
+    assert off @ np.linalg.solve(drawn.covariance, off) > chi2.ppf(0.99, 6)
+    # The widths say nothing.
+    assert settled.narrowing < 0.1
+    assert drawn.lopsided > 0.05
+    assert error @ np.linalg.solve(settled.covariance, error) < chi2.ppf(0.95, 6)
+    assert rested(photo_of(scene, 1), settled, REACH) is settled
+
+
+def test_flat_joints_have_halves_alike() -> None:
+    settled = settle(fitted(PLAIN, 0))
+    drawn = on_grey_levels(photo_of(PLAIN, 0), settled.fit, settled.covariance, REACH)
+    assert drawn is not None
+    assert drawn.lopsided < 0.002
