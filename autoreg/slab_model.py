@@ -33,7 +33,7 @@ NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), ()),)
 LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
 # Where the widths tell the relief, its shape varies beyond the model: the variance is this much larger, as
 # measured on ray-traced pavings.
-MISFIT = 2.0
+MISFIT = 1.6
 # The sizes of the effects are searched on blocks of so many slabs square, with about so many stations in all.
 BLOCK_SLABS, SEARCHED = 4, 600
 # Height of the bow that even ground may have, as a share of its extent: 3 mm under a straightedge of 2 m.
