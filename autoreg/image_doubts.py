@@ -36,12 +36,14 @@ class Doubt:
 class Averaged:
     """A step of all unknowns, and the covariance of those not doubted.
 
-    `plain` is what it would be if all doubts were unfounded, `added` what they add.
+    `plain` is what it would be if all doubts were unfounded, `added` what they add. `sigma` is how well the
+    picture tells the size of each effect.
     """
 
     step: Float[np.ndarray, " k"]
     plain: Float[np.ndarray, "j j"]
     added: Float[np.ndarray, "j j"]
+    sigma: Float[np.ndarray, " d"]
 
 
 def averaged_over(
@@ -66,6 +68,7 @@ def averaged_over(
     inner += np.diag(1e-12 + 1e-9 * np.diag(H)[known:])
     S = np.linalg.inv(inner)
     estimate = S @ (score[known:] - H[known:, :known] @ plain)
+    sigma = np.sqrt(np.diag(S))
     for doubt in doubts:
         S[doubt.columns, doubt.columns] += doubt.floor**2
     weight, mean, inside, present = _weighed(doubts, estimate, S)
@@ -78,7 +81,7 @@ def averaged_over(
     away = mean - effect
     spread = np.tensordot(weight, inside + away[:, :, None] * away[:, None, :], 1) + np.diag(vague**2)
     added = carried @ spread @ carried.T
-    return Averaged(np.r_[plain - carried @ effect, effect], C, 0.5 * (added + added.T))
+    return Averaged(np.r_[plain - carried @ effect, effect], C, 0.5 * (added + added.T), sigma)
 
 
 def _weighed(

@@ -62,6 +62,8 @@ MOST_DESIGN_EFFECT = 8.0
 SPARE_CELLS = 8
 # A pose that is so unlikely by the joints' measured places is none.
 CONTRADICTION = 1e-4
+# What joints' halves differ by counts as far as it exceeds so many of its standard deviations.
+SURELY = 3.0
 # A side takes part if this share of its stations does.
 USABLE_SHARE = 0.5
 # What the joints of a family may lie off by together, in widths, as ray-traced prints do: walls a tenth of a
@@ -85,7 +87,7 @@ class Photometric:
     """A fit at the pose of the grey levels, its covariance on the camera's side, and what it rests on.
 
     `plain` is the covariance if joints look just as they are drawn, `doubted` what is added as they may not.
-    `lopsided` is by how much the joints' far and near halves differ, as a share of their contrast.
+    `lopsided` is by how much the joints' far and near halves differ at least, as a share of their contrast.
     """
 
     fit: Fit
@@ -203,8 +205,8 @@ def _judged(
         strip=replace(fit.strip, width=shape.width),
         distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
     )
-    halves = np.abs(answer.step[len(last.normal.free) :][:2])
-    lopsided = float(halves.max()) / _contrast(state)
+    halves = np.abs(answer.step[len(last.normal.free) :][:2]) - SURELY * answer.sigma[:2]
+    lopsided = max(float(halves.max()), 0.0) / _contrast(state)
     return Photometric(moved, plain, doubted, lopsided, state.noise, effect, len(pixels))
 
 
