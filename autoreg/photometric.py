@@ -38,7 +38,6 @@ from autoreg.near_joints import CLEAR_BLURS, joint_pixels
 from autoreg.photometric_step import (
     DOUBTED,
     UNKNOWNS,
-    State,
     Step,
     first_state,
     moved_shape,
@@ -73,8 +72,9 @@ TOGETHER = 0.01
 # lens's first coefficient, pixels that the whole picture is moved by, as ray-traced prints are (0.003 to
 # 0.005), and what a family's joints lie off by together, which looks like another pose. Real shadows have
 # other shapes than those drawn: what they do is known to no better than itself.
+HALVES = Doubt((0, 1), (0.3, 1.0, 3.0, 10.0, 30.0), 0.5, 0.2, 1.0)
 DOUBTS = (
-    Doubt((0, 1), (0.3, 1.0, 3.0, 10.0, 30.0), 0.5, 0.2, 1.0),
+    HALVES,
     Doubt((2, 3), (0.3, 1.0, 3.0, 10.0, 30.0), 0.5, 0.2, 1.0),
     Doubt((4,), (3e-5, 1e-4, 3e-4, 1e-3, 3e-3), 0.5, 1e-5, 0.2),
     Doubt((5, 6), (0.003,), 0.0, 0.0, 0.0),
@@ -205,15 +205,15 @@ def _judged(
         strip=replace(fit.strip, width=shape.width),
         distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
     )
-    halves = np.abs(answer.step[len(last.normal.free) :][:2]) - SURELY * answer.sigma[:2]
-    lopsided = max(float(halves.max()), 0.0) / _contrast(state)
-    return Photometric(moved, plain, doubted, lopsided, state.noise, effect, len(pixels))
+    return Photometric(moved, plain, doubted, _lopsided(last, answer), state.noise, effect, len(pixels))
 
 
-def _contrast(state: State) -> float:
-    """Grey levels between slabs and joints."""
-    tone = state.tones.mean(0)
-    return max(abs(float(tone[:JOINT].mean() - tone[JOINT])), 1.0)
+def _lopsided(last: Step, answer: Averaged) -> float:
+    """By how much the joints' far and near halves differ at least, as a share of their contrast."""
+    halves, tone = list(HALVES.columns), last.state.tones.mean(0)
+    differ = np.abs(answer.step[len(last.normal.free) :][halves]) - SURELY * answer.sigma[halves]
+    contrast = abs(float(tone[:JOINT].mean() - tone[JOINT]))
+    return max(float(differ.max()), 0.0) / max(contrast, 1.0)
 
 
 def _averaged(last: Step, together: float) -> tuple[Averaged, float]:

@@ -149,27 +149,26 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
 
     Alike, or by how steeply they are seen; those seen from one side also by how their walls look.
     """
-    slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
+    fit, slope, full = joints.fit, _slope(joints), _full_width_px(joints)
+    family, steps = fit.stations.family[joints.rows], _only_steps(fit)
     soon, late = (np.clip(slope / knee, -1.0, 1.0) for knee in (SOON, LATE))
     shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
-    full, walls = _full_width_px(joints), _wall_shapes(joints)
+    walls = _wall_shapes(np.abs(slope), full / fit.strip.blur_px)
     own: list[np.ndarray] = []
     for each in (ALONG_X, ALONG_Y):
-        size = STEPS_TOGETHER if each in _only_steps(joints.fit) else TOGETHER
-        own.append(shapes * (size * full * (family == each))[:, None])
-    for each in (ALONG_X, ALONG_Y):
-        for way in (-1.0, 1.0):
-            seen = (family == each) & (way * slope > 0)
-            own.append(walls * (way * full * seen)[:, None])
+        mine = full * (family == each)
+        own.append(shapes * ((STEPS_TOGETHER if each in steps else TOGETHER) * mine)[:, None])
+        own += [walls * (way * mine * (way * slope > 0))[:, None] for way in (-1.0, 1.0)]
     return joints.middles_only(_in_fewer_columns(np.concatenate(own, 1)))
 
 
-def _wall_shapes(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
-    """Shares of their width by which walls that no width tells may move the joints seen from one side."""
-    steep = np.abs(_slope(joints))
+def _wall_shapes(steep: Float[np.ndarray, " n"], blurs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n r"]:
+    """Shares of their width by which walls that no width tells may move the joints seen from one side.
+
+    Joints are seen so `steep`, and are so many `blurs` wide.
+    """
     dark = np.stack([_hump(steep, peak, DARK_SIDE_END) for peak in DARK_SIDE_SLOPES], 1)
-    blurs = _full_width_px(joints) / (BLURRED_BLURS * joints.fit.strip.blur_px)
-    blurred = dark / (1.0 + blurs**2)[:, None]
+    blurred = dark / (1.0 + (blurs / BLURRED_BLURS) ** 2)[:, None]
     at, places = np.log(np.maximum(steep, 1e-3)), np.log(np.array(BUMP_SLOPES))
     bumps = np.stack([np.interp(at, places, only) for only in np.eye(len(places))], 1)
     return np.concatenate([DARK_SIDE * dark, BLURRED_SIDE * blurred, BUMP * bumps], 1)
@@ -180,8 +179,13 @@ def _only_steps(fit: Fit) -> tuple[int, ...]:
 
     Lit walls hide its beds, and nothing tells how wide its joints are.
     """
-    bare = tuple(own for own in (ALONG_X, ALONG_Y) if fit.strip.polarity[own] == 0)
+    bare = _without_joints(fit)
     return bare if len(bare) == 1 else ()
+
+
+def _without_joints(fit: Fit) -> tuple[int, ...]:
+    """The families of which no joints show, but steps of tone."""
+    return tuple(own for own in (ALONG_X, ALONG_Y) if fit.strip.polarity[own] == 0)
 
 
 def _in_fewer_columns(effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "n s"]:
@@ -220,6 +224,6 @@ def bloom_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """Pixels that each station moves where bright tiles look larger by one, for families without joints."""
     fit, rows = joints.fit, joints.rows
     up, family = np.sign(fit.offsets.step[rows]), fit.stations.family[rows]
-    bare = [own for own in (ALONG_X, ALONG_Y) if fit.strip.polarity[own] == 0]
+    bare = _without_joints(fit)
     moved = (up * (family == np.array(bare)[:, None])).T if bare else np.zeros((len(rows), 0))
     return joints.middles_only(moved)

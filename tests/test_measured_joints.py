@@ -48,23 +48,13 @@ def fitted(width: int = 1200, joint_width_m: float = 0.012) -> Fit:
 
 def with_lit_walls(fit: Fit, share: float) -> Fit:
     """The fit as it would be measured if far edges of joints along Y were seen nearer, as lit walls are."""
-    stations, widths = fit.stations, fit.widths
+    stations = fit.stations
     away = stations.ground[:, 0] - fit.cam_from_ground.origin_in_a[0]
     steep = np.abs(away) / fit.cam_from_ground.origin_in_a[2]
     expected = width_px_of(fit.strip, stations, fit.profiles)
     nearer = share * expected * np.minimum(steep / 1.0, 1.0) * (stations.family == ALONG_Y)
     moved = -0.5 * np.sign(away) * nearer
-    lit = replace(
-        fit,
-        offsets=replace(fit.offsets, offset_px=fit.offsets.offset_px + moved),
-        # Distances are counted from the measured place to the projected one.
-        distances_px=fit.distances_px - moved,
-    )
-    seen = Widths(
-        widths.middle_px + moved, widths.width_px - nearer, widths.sigma_middle_px, widths.sigma_width_px
-    )
-    lit.__dict__["widths"] = seen
-    return lit
+    return seen_as(fit, moved, nearer)
 
 
 def with_dark_walls(fit: Fit, share: float) -> Fit:
@@ -72,24 +62,30 @@ def with_dark_walls(fit: Fit, share: float) -> Fit:
 
     What is left of a bed beside a dark wall is the darkest part of a joint, and all is wall in the end.
     """
-    stations, widths, eye = fit.stations, fit.widths, fit.cam_from_ground.origin_in_a
+    stations, eye = fit.stations, fit.cam_from_ground.origin_in_a
     axis = np.where(stations.family == ALONG_Y, 0, 1)
     away = np.take_along_axis(stations.ground - eye[:2], axis[:, None], 1)[:, 0]
     hump = np.interp(np.abs(away) / eye[2], [0.0, 0.8, 2.0], [0.0, 1.0, 0.0])
     moved = -share * hump * np.sign(away) * width_px_of(fit.strip, stations, fit.profiles)
-    dark = replace(
+    return seen_as(fit, moved, np.abs(moved))
+
+
+def seen_as(fit: Fit, moved_px: np.ndarray, narrower_px: np.ndarray) -> Fit:
+    """The fit as if its joints had been measured elsewhere, and narrower."""
+    widths = fit.widths
+    seen = replace(
         fit,
-        offsets=replace(fit.offsets, offset_px=fit.offsets.offset_px + moved),
-        distances_px=fit.distances_px - moved,
+        offsets=replace(fit.offsets, offset_px=fit.offsets.offset_px + moved_px),
+        # Distances are counted from the measured place to the projected one.
+        distances_px=fit.distances_px - moved_px,
     )
-    seen = Widths(
-        widths.middle_px + moved,
-        widths.width_px - np.abs(moved),
+    seen.__dict__["widths"] = Widths(
+        widths.middle_px + moved_px,
+        widths.width_px - narrower_px,
         widths.sigma_middle_px,
         widths.sigma_width_px,
     )
-    dark.__dict__["widths"] = seen
-    return dark
+    return seen
 
 
 def withheld(fit: Fit) -> Fit:
