@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from autoreg.periods import PHASES, Comb, best_combs, blurred, local_z, log_likelihood_ratio
 from autoreg.rectify import Family, Rectified, line_support
@@ -21,6 +21,16 @@ MARGIN = 0.12
 AUTOCORRELATION = 4096
 # Either family must carry at least this much evidence for a bond to be looked into.
 WORTH_NATS = 5.0
+
+
+# Spacings of cross joints that are looked for among their places, in widths of a course.
+CLOSEST, WIDEST = 0.4, 8.0
+# How finely spacings and shifts are tried, against the least that the places can tell.
+FINELY = 8
+# Chance of places without a law to look like one, at the best of all that is tried: e to minus this.
+LAWLESS_NATS = float(np.log(1000.0))
+# A coarser spacing is preferred to parts of it that suit the places so much better at the most.
+AS_GOOD = 0.8
 
 
 @dataclass(frozen=True)
@@ -154,6 +164,42 @@ def bond_hypotheses(rectified: Rectified, *, combs: int = 3, keep: int = 4) -> t
                 found.append(BondHypothesis(grid, turned, np.array(origin), score_nats))
     found.sort(key=lambda h: -h.score)
     return tuple(found[:keep])
+
+
+def bond_of_places(
+    along: Float[np.ndarray, " n"], course: Int[np.ndarray, " n"], width: float
+) -> tuple[Grid, float] | None:
+    """The bond that cross joints at such places of their courses have, and the phase of course 0; or None.
+
+    The places' power at a frequency along the courses and one across them, the largest there is (Scargle
+    1982), is exponential where they follow no law. It does not ask for joints that are not seen.
+
+    Args:
+        along: places along the courses.
+        course: the course that each is in.
+        width: of a course, in the places' unit.
+    """
+    n = len(along)
+    if n == 0 or np.ptp(along) < width:
+        return None
+    first, courses = int(course.min()), int(np.ptp(course)) + 1
+    frequency = np.arange(1.0 / (WIDEST * width), 1.0 / (CLOSEST * width), 1.0 / (FINELY * np.ptp(along)))
+    shifts = np.arange(FINELY * courses) / (FINELY * courses)
+    waves = np.exp(2j * np.pi * frequency[:, None] * along)
+    by_course = waves @ (course[:, None] - first == np.arange(courses))
+    moved = by_course @ np.exp(-2j * np.pi * np.arange(courses)[:, None] * shifts)
+    power = np.abs(moved) ** 2 / n
+    if power.max() < np.log(power.size) + LAWLESS_NATS:
+        return None
+    best = power.max(1)
+    coarsest = int(np.flatnonzero(best > AS_GOOD * best.max())[0])
+    # The top of this peak, of which the first that is good enough is the side.
+    while coarsest + 1 < len(best) and best[coarsest + 1] > best[coarsest]:
+        coarsest += 1
+    shift = int(power[coarsest].argmax())
+    a = 1.0 / float(frequency[coarsest])
+    phase = float(np.angle(moved[coarsest, shift])) / (2.0 * np.pi) - first * float(shifts[shift])
+    return Grid(a, width, customary_shift(float(shifts[shift]))), (phase % 1.0) * a
 
 
 def customary_shift(shift: float) -> float:

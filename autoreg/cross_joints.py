@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.special import gammainc
 
 from autoreg.camera import Camera
@@ -22,6 +22,8 @@ SHORTEST, LONGEST = 0.3, 1.4
 ONE_JOINT = 0.15
 # Segments that lean by less tell how far the cross joints lean together.
 LEANING_RAD = np.radians(20.0)
+# Those that lean by less tell how their lean changes from row to row, as it does where they stand on arcs.
+FANNED_RAD = np.radians(35.0)
 # Fewer cross joints than this do not tell their own scatter.
 FEWEST_JOINTS = 8
 # Standard deviation of normal values per median of their distances from their median, and that of a median
@@ -52,6 +54,12 @@ class OffSquare:
 
     def __len__(self) -> int:
         return len(self.angle)
+
+    def take(self, some: Bool[np.ndarray, " n"]) -> OffSquare:
+        """Some of the segments."""
+        return OffSquare(
+            *(value[some] for value in (self.ends_px, self.middle, self.angle, self.noise, self.joint))
+        )
 
 
 @dataclass(frozen=True)
@@ -112,7 +120,29 @@ def common_lean(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -
 
     The fit is at the photo's own resolution.
     """
-    seen = off_square(segments, fit, field, LEANING_RAD)
+    return _lean_of(off_square(segments, fit, field, LEANING_RAD))
+
+
+def change_of_lean(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
+    """By how much more the cross joints of the field's last rows lean than those of its first ones.
+
+    They are of the outer thirds of all that is seen of them; None where these are too few. Joints across
+    arcs that repeat along a line, as those of fans do, turn with each of these rows.
+    """
+    seen = off_square(segments, fit, field, FANNED_RAD)
+    if len(seen) == 0:
+        return None
+    low, high = np.quantile(seen.middle[:, 1], [1 / 3, 2 / 3])
+    first, last = (
+        _lean_of(seen.take(near)) for near in (seen.middle[:, 1] <= low, seen.middle[:, 1] >= high)
+    )
+    if first is None or last is None:
+        return None
+    return Lean(last.angle - first.angle, float(np.hypot(first.sigma, last.sigma)))
+
+
+def _lean_of(seen: OffSquare) -> Lean | None:
+    """The median angle of some cross joints, if they are enough."""
     joints = len(np.unique(seen.joint))
     if joints < FEWEST_JOINTS:
         return None

@@ -7,20 +7,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from autoreg.arcs import common_arc
 from autoreg.conclude import slab_mismatch, with_slab_ratio
 from autoreg.corrections import with_measured_shift
+from autoreg.cross_joints import change_of_lean
+from autoreg.errors import Refusal
 from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.last_step import likeliest
 from autoreg.lattice_choice import Paving, presented
 from autoreg.presence import presence_of
 from autoreg.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
-from autoreg.refusals import arcs, focal_untold, no_lattice
+from autoreg.refusals import arcs, fanned, focal_untold, no_lattice
 from autoreg.right_angles import Squared, square_up
-from autoreg.rows import STEP_SIGMA, Rows, common_sag
+from autoreg.rows import STEP_SIGMA, Rows
 from autoreg.segments import Segments
 from autoreg.sight import Sight
-from autoreg.stations import Grid
+from autoreg.stations import ALONG_X, ALONG_Y, Grid
 from autoreg.uncertainty import Settled
 
 # Rows must tell a focal length as well as EXIF does. It enters the tilt by sin(pitch) cos(pitch) at most, so
@@ -58,7 +61,8 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
         Refusal: they cannot be measured, are arcs, or tell the focal length too little.
     """
     fit, crossing = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA)), found.crossing
-    bowed = arcs(common_sag(fit))
+    change = change_of_lean(sight.segments, fit, found.paving.presence.field)
+    bowed = arcs(common_arc(fit)) or fanned(change)
     if bowed is not None:
         raise bowed
     squared = None
@@ -77,18 +81,27 @@ def measured_slabs(
     """A lattice, with the slab's ratio of sides if that is given; `small` is the photo at detection scale.
 
     Raises:
-        Refusal: it cannot be of such slabs, or vanishes at the photo's own resolution.
+        Refusal: it cannot be of such slabs, its joints are arcs, or it vanishes at full resolution.
     """
     if slab is not None and (mismatch := slab_mismatch(found.fit, slab)) is not None:
         raise mismatch
     start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
     fit = _measure(picture, start, free)
+    bowed = _bowed(fit)
+    if bowed is not None:
+        raise bowed
     with ThreadPoolExecutor(1) as beside:
         rests = beside.submit(likeliest, picture, fit)
         settled = presented(small, _at_detection_scale(fit, small, start))
         if settled is None or settled.margin_nats < 0:
             raise no_lattice(settled, None)
         return Laid(fit, settled, rests.result())
+
+
+def _bowed(fit: Fit) -> Refusal | None:
+    """The refusal of a lattice whose unbroken joints are arcs; None if they may be straight."""
+    unbroken = (ALONG_X,) if fit.grid.shift else (ALONG_X, ALONG_Y)
+    return next((bowed for family in unbroken if (bowed := arcs(common_arc(fit, family)))), None)
 
 
 def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free) -> Squared:

@@ -39,6 +39,12 @@ def divided(fit: Fit, family: int, count: int) -> Fit | None:
     return replace(fit, grid=Grid(grid.spacing_x, grid.spacing_y / count))
 
 
+def too_long(grid: Grid) -> bool:
+    """Whether the cells of a lattice are longer than any number of slabs that is looked for in them."""
+    a, b = grid.spacing_x, grid.spacing_y
+    return a is not None and max(a, b) > MOST * min(a, b)
+
+
 def slabs_in_one(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence) -> tuple[int, int]:
     """The family whose joints are too far apart, and how many slabs lie between two of them: 1 if not so.
 

@@ -18,7 +18,7 @@ from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned
 from autoreg.lattice_choice import Paving, hopeful, settle_bond
-from autoreg.multiples import divided, slabs_in_one
+from autoreg.multiples import divided, slabs_in_one, too_long
 from autoreg.periods import Comb, best_combs
 from autoreg.plane_combs import PlaneCombs
 from autoreg.presence import field_polygon, presence_of
@@ -66,6 +66,11 @@ def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ..
         if (laid is not None and laid.margin_nats > CERTAIN_NATS) or len(tried) > MOST_STARTS:
             break
     return tuple(sorted(found, key=lambda paving: -paving.margin_nats))
+
+
+def lay_bond(looks: Looks, plane: PlaneCombs, pose: Rigid, grid: Grid, free: Free) -> Paving | None:
+    """The lattice that a bond seen by such a pose leads to, if any."""
+    return _laid(looks, plane, _Start(pose, grid), free)
 
 
 def _starts(looks: Looks, plane: PlaneCombs) -> Iterator[_Start]:
@@ -148,11 +153,12 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free) -> Paving 
 def of_single_slabs(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving | None:
     """The lattice of the slabs themselves, where one was found whose cells hold several of them.
 
-    None where there are joints within the cells and no lattice has them.
+    None where there are joints within the cells and no lattice has them, and where nothing tells whether
+    there are.
     """
     family, count = slabs_in_one(picture, laid.fit, laid.presence)
     if count == 1:
-        return laid
+        return None if too_long(laid.grid) else laid
     fine = divided(laid.fit, family, count)
     if fine is None:
         return None

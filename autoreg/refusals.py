@@ -6,19 +6,22 @@ from typing import Literal
 
 import numpy as np
 
+from autoreg.arcs import Arc
 from autoreg.camera import Camera
 from autoreg.cross_joints import Lean
 from autoreg.errors import Refusal
 from autoreg.fit import Fit
 from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
 from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
-from autoreg.rows import Rows, Sag
+from autoreg.rows import Rows
 
 # Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs
 # seen with this camera. What slabs and their laying are off square is a tenth of it.
 MOST_LEAN_DEG, SURE_SIGMAS = 3.0, 5.0
-# Straight joints bow alike by less than this share of a row's width.
-MOST_SAG = 0.05
+# Nor do they turn by so much from the first rows to the last: by some tenths of a degree in slabs.
+MOST_FANNED_DEG = 8.0
+# Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
+MOST_ARC_DEG = 5.0
 # A camera's focal length must differ by this much before it is blamed for a refusal.
 FOCAL_BLAME = 0.05
 # ... and its principal point lie so far off the middle, as a share of the width.
@@ -155,16 +158,35 @@ def leaning(lean: Lean | None, camera: Camera, source: Literal["file", "exif", "
     )
 
 
-def arcs(sag: Sag) -> Refusal | None:
-    """The refusal of rows whose joints bow alike; None if they may be straight."""
-    if abs(sag.size) < MOST_SAG or abs(sag.size) < SURE_SIGMAS * sag.sigma:
+def fanned(change: Lean | None) -> Refusal | None:
+    """The refusal of joints that turn from row to row as those across arcs do; None if they may not."""
+    if change is None:
+        return None
+    degrees = float(np.degrees(abs(change.angle)))
+    if degrees < MOST_FANNED_DEG or abs(change.angle) < SURE_SIGMAS * change.sigma:
         return None
     return Refusal(
         "no_lattice",
-        f"the joints along these rows are arcs, which rise by {abs(sag.size):.2f} of a row's width, as those "
-        "of fans and waves are; photograph slabs in straight rows",
-        measured=round(abs(sag.size), 3),
-        limit=MOST_SAG,
+        f"the joints across these rows turn by {degrees:.0f} degrees from the first rows to the last, as "
+        "those of fans and waves do; photograph slabs with right angles",
+        measured=round(degrees, 1),
+        limit=MOST_FANNED_DEG,
+    )
+
+
+def arcs(arc: Arc | None) -> Refusal | None:
+    """The refusal of unbroken joints that bow alike; None if they may be straight."""
+    if arc is None:
+        return None
+    degrees = float(np.degrees(abs(arc.turn)))
+    if degrees < MOST_ARC_DEG or abs(arc.turn) < SURE_SIGMAS * arc.sigma:
+        return None
+    return Refusal(
+        "no_lattice",
+        f"the joints along these rows are arcs, which turn by {degrees:.0f} degrees from end to end, as "
+        "those of fans and waves do; photograph slabs in straight rows",
+        measured=round(degrees, 1),
+        limit=MOST_ARC_DEG,
     )
 
 

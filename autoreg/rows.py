@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.cross_joints import find_cross_joints
-from autoreg.fit import LEAST_WEIGHT, Fit
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned, with_origin
@@ -50,32 +50,6 @@ class Rows:
         """Evidence beyond what the number of tested hypotheses demands, for joints and cross joints alike."""
         x, y = self.paving.evidence_nats
         return min(x - 0.5 * TESTED_NATS - FALSE_ALARM_NATS, y - FALSE_ALARM_NATS)
-
-
-@dataclass(frozen=True)
-class Sag:
-    """How far the unbroken joints bow alike, from the field's middle to its ends, in widths of a row."""
-
-    size: float
-    sigma: float
-
-
-def common_sag(fit: Fit) -> Sag:
-    """The bow that the unbroken joints of measured rows share, each with a place and direction of its own.
-
-    Joints of fans and waves are arcs; a few of their stones are rows wherever they are straight enough.
-    """
-    rows = np.flatnonzero((fit.weight > LEAST_WEIGHT) & (fit.stations.family == ALONG_X))
-    x = fit.stations.ground[rows, 0]
-    x = 2.0 * (x - 0.5 * (x.min() + x.max())) / max(float(np.ptp(x)), 1e-9)
-    names, line = np.unique(fit.stations.line[rows], return_inverse=True)
-    own, weight = np.eye(len(names))[line], np.sqrt(fit.weight[rows])
-    columns = np.column_stack([own, own * x[:, None], x**2]) * weight[:, None]
-    off = fit.distances_px[rows] / (fit.profiles.px_per_unit[rows] * fit.grid.spacing_y) * weight
-    told = np.linalg.lstsq(columns, off, rcond=None)[0]
-    variance = float(((off - columns @ told) ** 2).sum()) / max(len(rows) - columns.shape[1], 1)
-    sigma = float(np.sqrt(variance * np.linalg.pinv(columns.T @ columns)[-1, -1]))
-    return Sag(float(told[-1]), sigma)
 
 
 def lay_rows(

@@ -5,12 +5,17 @@ All of it is done at detection scale; what it finds is measured at the photo's o
 
 from __future__ import annotations
 
+import numpy as np
+
+from autoreg.bond import bond_of_places
 from autoreg.camera import Camera
+from autoreg.cross_joints import find_cross_joints
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
+from autoreg.ground_frame import with_origin
 from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.lattice_choice import Paving, rival, suited
-from autoreg.paving import CERTAIN_NATS, lay_combs, lay_lattice
+from autoreg.paving import CERTAIN_NATS, lay_bond, lay_combs, lay_lattice
 from autoreg.plane_combs import (
     PROMISING_NATS,
     Hypothesis,
@@ -51,12 +56,15 @@ def find_paving(
     """
     looks = sight.looks
 
+    def fitting(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
+        return pavings if slab is None else suited(looks.picture, pavings, slab)
+
     def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
-        return pavings if slab is None else suited(looks.picture, pavings, slab) or pavings
+        return fitting(pavings) or pavings
 
     def glanced(free: Free, hypotheses: list[Hypothesis]) -> tuple[Paving, ...]:
         first = _at_a_glance(looks, hypotheses, free)
-        return () if first is None else suitable((first,))
+        return () if first is None else fitting((first,))
 
     if camera is not None:
         plain = glanced(*_hypotheses(sight.detection.coarse, sight.size, camera))
@@ -76,7 +84,10 @@ def find_paving(
         if not best or best[0].margin_nats <= 0:
             plain = suitable(_by_other_focals(looks, ranked, free)) if camera is None else ()
             if not _certain(plain):
-                return _find_rows(looks, segments, sight.size, ranked, best)
+                rows, plane = _find_rows(looks, segments, sight.size, ranked, best)
+                plain = suitable(_by_cross_joints(looks, segments, sight.size, rows, plane, free))
+                if not plain or plain[0].margin_nats <= 0:
+                    return rows
             best = plain
     return _unrivalled(best)
 
@@ -135,16 +146,35 @@ def _hypotheses(
     return Free(ratio=True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA), found
 
 
+def _by_cross_joints(
+    looks: Looks, segments: Segments, size: tuple[int, int], rows: Rows, plane: PlaneCombs, free: Free
+) -> tuple[Paving, ...]:
+    """The lattice of rows whose cross joints follow a law after all, though most of them are too faint.
+
+    Seen from afar only some of a running bond's cross joints are found.
+    """
+    fit, field = rows.paving.fit, rows.paving.presence.field
+    middle = find_cross_joints(segments, fit, field, size).middle
+    width = fit.grid.spacing_y
+    bond = bond_of_places(middle[:, 0], np.floor(middle[:, 1] / width).astype(int), width)
+    if bond is None:
+        return ()
+    grid, phase = bond
+    laid = lay_bond(looks, plane, with_origin(fit.cam_from_ground, phase, 0.0), grid, free)
+    return () if laid is None else (laid,)
+
+
 def _find_rows(
     looks: Looks,
     segments: Segments,
     size: tuple[int, int],
     planes: list[PlaneCombs],
     rejected: tuple[Paving, ...],
-) -> Rows:
-    """The rows that explain the photo best, where no lattice does better than chance."""
-    fields = [lay_rows(looks.picture, plane, segments, size) for plane in planes]
-    rows = max((r for r in fields if r is not None), key=lambda r: r.margin_nats, default=None)
-    if rows is None or rows.margin_nats <= 0:
+) -> tuple[Rows, PlaneCombs]:
+    """The rows that explain the photo best, where no lattice does better than chance, and their plane."""
+    fields = [(lay_rows(looks.picture, plane, segments, size), plane) for plane in planes]
+    found = [(rows, plane) for rows, plane in fields if rows is not None]
+    rows, plane = max(found, key=lambda pair: pair[0].margin_nats, default=(None, None))
+    if rows is None or plane is None or rows.margin_nats <= 0:
         raise no_lattice(rejected[0] if rejected else None, rows)
-    return rows
+    return rows, plane

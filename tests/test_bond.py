@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from paved import GRAVEL, HALF_BOND, STACK, THIRD_BOND
 
-from autoreg.bond import BondHypothesis, Courses, best_bonds, bond_hypotheses, course_support
+from autoreg.bond import BondHypothesis, Courses, best_bonds, bond_hypotheses, bond_of_places, course_support
 from autoreg.periods import PHASES, Comb
 from autoreg.rectify import near_reach, picture_gradient, rectify
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, render_paving
@@ -123,3 +123,41 @@ def test_courses_lie_between_the_unbroken_joints(half_photo: SyntheticPhoto):
             strength[kind].extend(z[at[seen[at], None] + np.arange(-2, 2)].max(1))
     assert len(strength[0]) > 8
     assert np.median(strength[0]) > 3.0 * max(float(np.median(strength[1])), 1.0)
+
+
+def made_places(
+    shift: float, *, seen: float, jitter: float = 0.01, stray: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places and courses of some cross joints of 0.5 x 0.2 slabs, the first at 0.13, and of strays."""
+    rng = np.random.default_rng(7)
+    course, column = (v.ravel() for v in np.meshgrid(np.arange(-3, 15), np.arange(-6, 7)))
+    kept = rng.uniform(size=len(course)) < seen
+    course, column = course[kept], column[kept]
+    along = 0.13 + 0.5 * (column + shift * course) + jitter * rng.standard_normal(len(course))
+    inside = np.abs(along) < 2.5
+    strays = rng.uniform(-2.5, 2.5, stray), rng.integers(-3, 15, stray)
+    return np.r_[along[inside], strays[0]], np.r_[course[inside], strays[1]]
+
+
+@pytest.mark.parametrize("shift", [0.0, 1 / 4, 1 / 3, 1 / 2, 3 / 4])
+@pytest.mark.parametrize(("seen", "stray"), [(1.0, 0), (0.3, 0), (0.5, 40)])
+def test_a_few_places_of_cross_joints_tell_their_bond(shift: float, seen: float, stray: int):
+    found = bond_of_places(*made_places(shift, seen=seen, stray=stray), 0.2)
+    assert found is not None
+    grid, phase = found
+    assert grid.spacing_x == pytest.approx(0.5, rel=0.02)
+    assert grid.spacing_y == 0.2
+    assert abs((grid.shift - shift + 0.5) % 1.0 - 0.5) < 0.011
+    # Course 0's joints near the middle of the places are where they ought to be.
+    assert abs((phase - 0.13 + 0.25) % 0.5 - 0.25) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_places_without_a_law_tell_no_bond(seed: int):
+    rng = np.random.default_rng(seed)
+    assert bond_of_places(rng.uniform(-2.5, 2.5, 80), rng.integers(0, 15, 80), 0.2) is None
+
+
+def test_no_places_or_all_at_one_tell_no_bond():
+    assert bond_of_places(np.zeros(0), np.zeros(0, int), 0.2) is None
+    assert bond_of_places(np.full(9, 0.3), np.arange(9), 0.2) is None

@@ -7,7 +7,7 @@ from paved import HALF_BOND, STACK, fit_of, gray_of, misses
 
 from autoreg.fit import Fit
 from autoreg.lattice_choice import Paving, presented
-from autoreg.multiples import divided, slabs_in_one
+from autoreg.multiples import MOST, divided, slabs_in_one, too_long
 from autoreg.paving import of_single_slabs
 from autoreg.presence import presence_of
 from autoreg.stations import ALONG_X, ALONG_Y, Grid
@@ -91,3 +91,19 @@ def test_rows_have_no_cells_to_divide(photos, fits):
     fit = replace(fits["tiles"], grid=Grid(None, 0.15))
     assert slabs_in_one(gray_of(photos["tiles"]), fit, presence_of(gray_of(photos["tiles"]), fit))[1] == 1
     assert divided(fit, ALONG_Y, 3).grid == Grid(None, 0.15)  # pyright: ignore[reportOptionalMemberAccess]
+
+
+def test_cells_longer_than_slabs_are_looked_for_in_them_are_none():
+    assert not too_long(Grid(MOST * 0.1, 0.1))
+    assert too_long(Grid((MOST + 1) * 0.1, 0.1))
+    assert too_long(Grid(0.1, (MOST + 1) * 0.1, 0.25))
+    assert not too_long(Grid(None, 0.1))
+
+
+def test_a_lattice_of_every_so_manyth_joint_that_cannot_be_told_from_slabs_is_none(
+    photos: dict[str, SyntheticPhoto], fits: dict[str, Fit]
+):
+    # Every 23rd cross joint: all that it predicts is there, and no number of parts that is tried fits.
+    fit = multiple(fits["bricks"], 23, 1)
+    whole = Paving(fit, presence_of(gray_of(photos["bricks"]), fit), (100.0, 100.0))
+    assert of_single_slabs(gray_of(photos["bricks"]), whole) is None

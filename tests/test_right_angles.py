@@ -11,7 +11,7 @@ from paved import gray_of
 
 from autoreg.align import EXIF_FOCAL_SIGMA, align
 from autoreg.camera import Camera
-from autoreg.cross_joints import common_lean, off_angle, off_square
+from autoreg.cross_joints import change_of_lean, common_lean, off_angle, off_square
 from autoreg.errors import Refusal
 from autoreg.fit import Fit
 from autoreg.freedom import Free
@@ -19,9 +19,9 @@ from autoreg.full_resolution import MOST_FOCAL_SIGMA
 from autoreg.geometry import Rigid, angle_between_rotations, vector_from_rotation
 from autoreg.image import as_gray
 from autoreg.refine import refine_until_still
-from autoreg.refusals import arcs
+from autoreg.refusals import MOST_FANNED_DEG, fanned
 from autoreg.right_angles import SHARED_RAD, Squared, square_up
-from autoreg.rows import STEP_SIGMA, common_sag
+from autoreg.rows import STEP_SIGMA
 from autoreg.segments import Segments, detect_segments
 from autoreg.stations import Grid, on_ground, project_ground
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
@@ -184,16 +184,34 @@ def test_too_few_cross_joints_tell_no_lean():
     assert common_lean(segments_of(ASLANT).take(np.arange(0)), fit, field) is None
 
 
-@pytest.mark.parametrize("sag", [0.0, 0.02, -0.14])
-def test_the_bow_that_unbroken_joints_share_is_found_and_arcs_are_refused(sag: float):
+@pytest.mark.parametrize("turn_deg", [0.0, 6.0, 18.0])
+def test_cross_joints_that_turn_from_row_to_row_are_those_of_fans(turn_deg: float):
     fit = fitted(ASLANT, 1.0)
-    x = fit.stations.ground[:, 0]
-    reach = 2.0 * (x - x.mean()) / np.ptp(x)
-    bow_px = sag * reach**2 * fit.grid.spacing_y * fit.profiles.px_per_unit
-    found = common_sag(replace(fit, distances_px=fit.distances_px + bow_px, sigma_px=fit.sigma_px + 9.0))
-    assert found.size == pytest.approx(sag, abs=max(0.004, 0.05 * abs(sag)))
-    refusal = arcs(found)
-    assert (refusal is not None) == (abs(sag) > 0.1)
+    field = field_of(fit.camera, fit.cam_from_ground)
+    seen = off_square(segments_of(ASLANT), fit, field, np.radians(20.0))
+    rows = seen.middle[:, 1]
+    # Each segment is turned about its middle, by as much as its row is from the middle row.
+    turn = np.radians(turn_deg) * (rows - np.median(rows)) / np.ptp(rows)
+    ends = on_ground(seen.ends_px, fit.camera, fit.cam_from_ground)
+    away = ends - ends.mean(1, keepdims=True)
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], 1)
+    turned = ends.mean(1, keepdims=True) + np.einsum("nij,nkj->nki", R, away)
+    ends_px = project_ground(fit.camera, fit.cam_from_ground, turned)
+    n = len(ends_px)
+    change = change_of_lean(Segments(ends_px, np.full(n, 0.2), np.zeros(n, int)), fit, field)
+    assert change is not None
+    # The outer thirds' middles lie about two thirds of all rows apart.
+    assert np.degrees(abs(change.angle)) == pytest.approx(0.66 * turn_deg, rel=0.2, abs=0.5)
+    refusal = fanned(change)
+    assert (refusal is not None) == (turn_deg > 1.5 * MOST_FANNED_DEG)
+
+
+def test_no_cross_joints_tell_no_turn():
+    fit = fitted(ASLANT, 1.0)
+    field = field_of(fit.camera, fit.cam_from_ground)
+    assert change_of_lean(segments_of(ASLANT).take(np.arange(0)), fit, field) is None
+    assert fanned(None) is None
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.04, 1.15])
