@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from autoreg.arcs import Arc
 from autoreg.camera import Camera
@@ -28,8 +29,10 @@ FOCAL_BLAME = 0.05
 CENTRE_BLAME = 0.03
 # Fewer sides than this are a few joints, however clear.
 FEW_SIDES = 16
-# Courses seen no more aslant than the first, and no farther from level than the second, may be a wall's: the
-# search for the ground cannot drop such a wall for its plumb joints.
+# Courses seen no more aslant than the first, within so many standard deviations of the pose, and no farther
+# from level than the second, may be a wall's: the search for the ground cannot drop such a wall for its plumb
+# joints.
+FRONTAL_SIGMAS = 2.0
 FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(PLUMB_RAD))
 _OTHER_CAMERA = (
     "the camera file belongs to another camera, zoom or picture size: check it with its calibration, "
@@ -82,19 +85,28 @@ def ambiguous(best: Paving, other: Paving) -> Refusal:
     )
 
 
-def maybe_wall(fit: Fit) -> Refusal | None:
-    """The refusal of courses seen from the front, level in the picture: a brick wall as likely as a floor."""
+def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> Refusal | None:
+    """The refusal of courses seen from the front, level in the picture: a brick wall as likely as a floor.
+
+    With the pose's covariance those that may as well be seen from the front are refused too.
+    """
     R = fit.cam_from_ground.R
-    tilt_deg = float(np.rad2deg(np.arccos(np.clip(-R[2, 2], -1.0, 1.0))))
+    tilt = float(np.arccos(np.clip(-R[2, 2], -1.0, 1.0)))
+    tilt_deg = float(np.rad2deg(tilt))
+    if covariance is not None:
+        # A small rotation w turns the ground's normal by w x normal.
+        by_turn = np.array([R[1, 2], -R[0, 2]]) / max(float(np.sin(tilt)), 1e-9)
+        sigma = float(np.sqrt(by_turn @ covariance[:2, :2] @ by_turn))
+        tilt_deg -= FRONTAL_SIGMAS * float(np.rad2deg(sigma))
     skew_deg = float(np.rad2deg(np.arcsin(np.abs(R[0, :2]).min())))
     stack = fit.grid.spacing_x is not None and fit.grid.shift == 0.0
     if stack or tilt_deg > FRONTAL_DEG or skew_deg > LEVEL_DEG:
         return None
     return Refusal(
         "not_ground",
-        f"these courses lie level in the picture and are seen from the front ({tilt_deg:.0f} degrees aslant) "
-        "as those of a wall are, and the photo does not tell whether it is one; photograph the ground more "
-        "from the side, or with the camera turned by some degrees",
+        f"these courses lie level in the picture and are seen from the front ({np.rad2deg(tilt):.0f} "
+        "degrees aslant) as those of a wall are, and the photo does not tell whether it is one; photograph "
+        "the ground more from the side, or with the camera turned by some degrees",
         measured=round(skew_deg, 2),
         limit=LEVEL_DEG,
     )

@@ -13,6 +13,7 @@ from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving
 from autoreg.presence import presence_of
 from autoreg.refusals import (
     FEW_SIDES,
+    FRONTAL_DEG,
     ambiguous,
     camera_contradicted,
     focal_untold,
@@ -91,6 +92,19 @@ def test_level_courses_seen_from_the_front_may_be_a_wall(
     if refusal is not None:
         assert refusal.code == "not_ground"
         assert "wall" in refusal.message
+
+
+@pytest.mark.parametrize(("sigma_deg", "refused"), [(0.5, False), (3.0, True)])
+def test_courses_that_are_seen_from_the_front_as_likely_as_not_may_be_those_of_a_wall(
+    paving: Paving, sigma_deg: float, refused: bool
+):
+    pose = look_at_ground(pitch_deg=90.0 - FRONTAL_DEG - 3.0, height_m=1.6, heading_deg=0.0)
+    fit = replace(paving.fit, cam_from_ground=pose, grid=Grid(0.2, 0.1, 0.5))
+    # Turned about the view or sideways, courses are as much aslant as before.
+    sigmas = np.radians([sigma_deg, 20.0, 20.0])
+    covariance = np.diag([*sigmas**2, 1.0, 1.0, 1.0])
+    assert maybe_wall(fit) is None
+    assert (maybe_wall(fit, covariance) is not None) == refused
 
 
 @pytest.mark.parametrize("kind", ["rows", "slabs"])
