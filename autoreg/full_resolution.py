@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from autoreg.arcs import common_arc
+from autoreg.bare_steps import from_near_rims
 from autoreg.conclude import slab_mismatch, with_slab_ratio
 from autoreg.corrections import with_measured_shift
 from autoreg.cross_joints import change_of_lean
@@ -86,7 +87,7 @@ def measured_slabs(
     if slab is not None and (mismatch := slab_mismatch(found.fit, slab)) is not None:
         raise mismatch
     start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
-    fit = _measure(picture, start, free)
+    fit = from_near_rims(_measure(picture, start, free))
     bowed = _bowed(fit)
     if bowed is not None:
         raise bowed

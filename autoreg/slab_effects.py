@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_matrix
 
-from autoreg.fit import Fit
+from autoreg.bare_steps import across_slope, only_steps, without_joints
 from autoreg.joint_image import SOON
 from autoreg.measured_joints import MeasuredJoints
 from autoreg.stations import ALONG_X, ALONG_Y
@@ -83,9 +83,7 @@ def slab_effects(joints: MeasuredJoints, a: float, b: float, side: float) -> tup
 
 def _slope(joints: MeasuredJoints) -> Float[np.ndarray, " n"]:
     """How far a unit of height moves each station across its joint, seen from the camera."""
-    stations, eye = joints.fit.stations, joints.fit.cam_from_ground.origin_in_a
-    away = stations.ground[joints.rows] - eye[:2]
-    return np.where(stations.family[joints.rows] == ALONG_X, away[:, 1], away[:, 0]) / eye[2]
+    return across_slope(joints.fit)[joints.rows]
 
 
 def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
@@ -97,7 +95,7 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """
     slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
     steep, facing = np.abs(slope), np.where(slope < 0, -1.0, 1.0)
-    full, steps = _full_width_px(joints), _only_steps(joints.fit)
+    full, steps = _full_width_px(joints), only_steps(joints.fit)
     fading = [FAR_SHADE * np.ones_like(slope)]
     fading += [0.7 * FAR_SHADE * np.maximum(0.0, 1.0 - steep / knee) for knee in (0.8, 2.0)]
     walls = [np.minimum(steep / knee, 1.0) / np.sqrt(len(KNEES)) for knee in KNEES]
@@ -150,7 +148,7 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     Alike, or by how steeply they are seen; those seen from one side also by how their walls look.
     """
     fit, slope, full = joints.fit, _slope(joints), _full_width_px(joints)
-    family, steps = fit.stations.family[joints.rows], _only_steps(fit)
+    family, steps = fit.stations.family[joints.rows], only_steps(fit)
     soon, late = (np.clip(slope / knee, -1.0, 1.0) for knee in (SOON, LATE))
     shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
     walls = _wall_shapes(np.abs(slope), full / fit.strip.blur_px)
@@ -172,20 +170,6 @@ def _wall_shapes(steep: Float[np.ndarray, " n"], blurs: Float[np.ndarray, " n"])
     at, places = np.log(np.maximum(steep, 1e-3)), np.log(np.array(BUMP_SLOPES))
     bumps = np.stack([np.interp(at, places, only) for only in np.eye(len(places))], 1)
     return np.concatenate([DARK_SIDE * dark, BLURRED_SIDE * blurred, BUMP * bumps], 1)
-
-
-def _only_steps(fit: Fit) -> tuple[int, ...]:
-    """The family whose joints show as steps of tone only, although those across it are dark or light.
-
-    Lit walls hide its beds, and nothing tells how wide its joints are.
-    """
-    bare = _without_joints(fit)
-    return bare if len(bare) == 1 else ()
-
-
-def _without_joints(fit: Fit) -> tuple[int, ...]:
-    """The families of which no joints show, but steps of tone."""
-    return tuple(own for own in (ALONG_X, ALONG_Y) if fit.strip.polarity[own] == 0)
 
 
 def _in_fewer_columns(effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "n s"]:
@@ -224,6 +208,6 @@ def bloom_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """Pixels that each station moves where bright tiles look larger by one, for families without joints."""
     fit, rows = joints.fit, joints.rows
     up, family = np.sign(fit.offsets.step[rows]), fit.stations.family[rows]
-    bare = _without_joints(fit)
+    bare = without_joints(fit)
     moved = (up * (family == np.array(bare)[:, None])).T if bare else np.zeros((len(rows), 0))
     return joints.middles_only(moved)
