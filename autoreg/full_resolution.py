@@ -131,10 +131,11 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     field = paving.presence.field
 
     def measured(grid: Grid, near: Fit) -> Fit:
+        # Where one family shows no joints of its own, they may have been too thin at detection scale.
+        looks = replace(near.strip, polarity_known=near.strip.polarity.count(0) != 1)
         fit = refine_until_still(
             picture, near.camera.scaled(width, height), near.cam_from_ground, grid,
-            free=free, search=NARROW, reach=REACH, strip=replace(near.strip, polarity_known=True),
-            field=field,
+            free=free, search=NARROW, reach=REACH, strip=looks, field=field,
         )  # fmt: skip
         if fit is None:
             raise no_lattice(paving, None)
