@@ -129,10 +129,10 @@ def _laid(
         laid = measured_rows(sight, picture, found, free, square=source == "photo")
     else:
         laid = measured_slabs(sight.looks.picture, picture, found, free, slab)
-    lean = common_lean(sight.segments, laid.fit, laid.settled.presence.field)
     wall = maybe_wall(laid.likeliest.fit, laid.likeliest.covariance)
     if wall is not None:
         raise wall
+    lean = common_lean(sight.segments, laid.fit, laid.settled.presence.field)
     off = leaning(lean, laid.fit.camera, source)
     if off is not None:
         raise _other_camera(sight, given) or off

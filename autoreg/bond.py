@@ -21,14 +21,12 @@ MARGIN = 0.12
 AUTOCORRELATION = 4096
 # Either family must carry at least this much evidence for a bond to be looked into.
 WORTH_NATS = 5.0
-
-
 # Spacings of cross joints that are looked for among their places, in widths of a course.
 CLOSEST, WIDEST = 0.4, 8.0
 # How finely spacings and shifts are tried, against the least that the places can tell.
 FINELY = 8
-# Chance of places without a law to look like one, at the best of all that is tried: e to minus this.
-LAWLESS_NATS = float(np.log(1000.0))
+# Chance of one false alarm in this many photos without a lattice.
+FALSE_ALARM_NATS = float(np.log(1000.0))
 # A coarser spacing is preferred to parts of it that suit the places so much better at the most.
 AS_GOOD = 0.8
 
@@ -189,7 +187,7 @@ def bond_of_places(
     by_course = waves @ (course[:, None] - first == np.arange(courses))
     moved = by_course @ np.exp(-2j * np.pi * np.arange(courses)[:, None] * shifts)
     power = np.abs(moved) ** 2 / n
-    if power.max() < np.log(power.size) + LAWLESS_NATS:
+    if power.max() < np.log(power.size) + FALSE_ALARM_NATS:
         return None
     best = power.max(1)
     coarsest = int(np.flatnonzero(best > AS_GOOD * best.max())[0])

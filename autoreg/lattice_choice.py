@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.bond import customary_shift
+from autoreg.bond import FALSE_ALARM_NATS, customary_shift
 from autoreg.fit import Fit
 from autoreg.ground_frame import turned, with_origin
 from autoreg.multiples import divided
@@ -23,8 +23,6 @@ from autoreg.stations import ALONG_X, ALONG_Y, Grid
 
 # What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
 TESTED_NATS = 2 * float(np.log(7000)) + float(np.log(24))
-# Chance of one false alarm in this many photos without a lattice.
-FALSE_ALARM_NATS = float(np.log(1000.0))
 # Sides of one unbroken line stand and fall together: a line counts as at most this many independent ones.
 INDEPENDENT_SIDES = 3.0
 # Logarithm by which the sides' ratio in the photo may differ from the given one: coarse fits, uneven slabs

@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.arcs import Arc
+from autoreg.bond import FALSE_ALARM_NATS
 from autoreg.camera import Camera
 from autoreg.cross_joints import Lean
 from autoreg.errors import Refusal
 from autoreg.fit import Fit
 from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
-from autoreg.lattice_choice import FALSE_ALARM_NATS, RIVAL_NATS, TESTED_NATS, Paving
+from autoreg.lattice_choice import RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows import Rows
 
 # Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs
@@ -146,10 +147,8 @@ def focal_untold(
 
 def leaning(lean: Lean | None, camera: Camera, source: Literal["file", "exif", "photo"]) -> Refusal | None:
     """The refusal of joints that are not at right angles to each other; None if they may be."""
-    if lean is None:
-        return None
-    degrees = float(np.degrees(abs(lean.angle)))
-    if degrees < MOST_LEAN_DEG or abs(lean.angle) < SURE_SIGMAS * lean.sigma:
+    degrees = None if lean is None else _clear_deg(lean.angle, lean.sigma, MOST_LEAN_DEG)
+    if degrees is None:
         return None
     measured, limit = round(degrees, 2), MOST_LEAN_DEG
     if source == "photo":
@@ -172,10 +171,8 @@ def leaning(lean: Lean | None, camera: Camera, source: Literal["file", "exif", "
 
 def fanned(change: Lean | None) -> Refusal | None:
     """The refusal of joints that turn from row to row as those across arcs do; None if they may not."""
-    if change is None:
-        return None
-    degrees = float(np.degrees(abs(change.angle)))
-    if degrees < MOST_FANNED_DEG or abs(change.angle) < SURE_SIGMAS * change.sigma:
+    degrees = None if change is None else _clear_deg(change.angle, change.sigma, MOST_FANNED_DEG)
+    if degrees is None:
         return None
     return Refusal(
         "no_lattice",
@@ -188,10 +185,8 @@ def fanned(change: Lean | None) -> Refusal | None:
 
 def arcs(arc: Arc | None) -> Refusal | None:
     """The refusal of unbroken joints that bow alike; None if they may be straight."""
-    if arc is None:
-        return None
-    degrees = float(np.degrees(abs(arc.turn)))
-    if degrees < MOST_ARC_DEG or abs(arc.turn) < SURE_SIGMAS * arc.sigma:
+    degrees = None if arc is None else _clear_deg(arc.turn, arc.sigma, MOST_ARC_DEG)
+    if degrees is None:
         return None
     return Refusal(
         "no_lattice",
@@ -200,6 +195,12 @@ def arcs(arc: Arc | None) -> Refusal | None:
         measured=round(degrees, 1),
         limit=MOST_ARC_DEG,
     )
+
+
+def _clear_deg(angle: float, sigma: float, most_deg: float) -> float | None:
+    """The size of an angle in degrees, where it is surely more than none and at least so large; else None."""
+    degrees = float(np.degrees(abs(angle)))
+    return None if degrees < most_deg or abs(angle) < SURE_SIGMAS * sigma else degrees
 
 
 def _named(paving: Paving) -> str:

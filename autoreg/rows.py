@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.cross_joints import find_cross_joints
+from autoreg.bond import FALSE_ALARM_NATS
+from autoreg.cross_joints import CrossJoints, find_cross_joints
 from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
 from autoreg.ground_frame import turned, with_origin
-from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving, line_evidence
+from autoreg.lattice_choice import TESTED_NATS, Paving, line_evidence
 from autoreg.patterns import true_sides
 from autoreg.paving import fit_outwards, refine_in_field
 from autoreg.plane_combs import PlaneCombs
@@ -40,9 +41,10 @@ GAP_PERIODS = (4, 6, 8, 12)
 
 @dataclass(frozen=True)
 class Rows:
-    """A field of rows, and a crossing to start its frame from."""
+    """A field of rows, the cross joints in it, and a crossing to start its frame from."""
 
     paving: Paving
+    cross: CrossJoints
     crossing: Float[np.ndarray, "2"]
 
     @property
@@ -106,7 +108,7 @@ def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int,
     crossing = cross.middle[np.linalg.norm(cross.middle - middle, axis=1).argmin()]
     spacing = fit.grid.spacing_y
     on_joint = np.array([crossing[0], round(crossing[1] / spacing) * spacing])
-    return Rows(Paving(fit, presence, (x, cross.evidence_nats)), on_joint)
+    return Rows(Paving(fit, presence, (x, cross.evidence_nats)), cross, on_joint)
 
 
 def _interrupted(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np.ndarray, "k 2"]) -> bool:

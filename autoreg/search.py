@@ -9,7 +9,6 @@ import numpy as np
 
 from autoreg.bond import bond_of_places
 from autoreg.camera import Camera
-from autoreg.cross_joints import find_cross_joints
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.ground_frame import with_origin
@@ -85,7 +84,7 @@ def find_paving(
             plain = suitable(_by_other_focals(looks, ranked, free)) if camera is None else ()
             if not _certain(plain):
                 rows, plane = _find_rows(looks, segments, sight.size, ranked, best)
-                plain = suitable(_by_cross_joints(looks, segments, sight.size, rows, plane, free))
+                plain = suitable(_by_cross_joints(looks, rows, plane, free))
                 if not plain or plain[0].margin_nats <= 0:
                     return rows
             best = plain
@@ -146,15 +145,12 @@ def _hypotheses(
     return Free(ratio=True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA), found
 
 
-def _by_cross_joints(
-    looks: Looks, segments: Segments, size: tuple[int, int], rows: Rows, plane: PlaneCombs, free: Free
-) -> tuple[Paving, ...]:
+def _by_cross_joints(looks: Looks, rows: Rows, plane: PlaneCombs, free: Free) -> tuple[Paving, ...]:
     """The lattice of rows whose cross joints follow a law after all, though most of them are too faint.
 
     Seen from afar only some of a running bond's cross joints are found.
     """
-    fit, field = rows.paving.fit, rows.paving.presence.field
-    middle = find_cross_joints(segments, fit, field, size).middle
+    fit, middle = rows.paving.fit, rows.cross.middle
     width = fit.grid.spacing_y
     bond = bond_of_places(middle[:, 0], np.floor(middle[:, 1] / width).astype(int), width)
     if bond is None:

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of, gray_of
 
+from autoreg.bond import FALSE_ALARM_NATS
 from autoreg.camera import Camera
 from autoreg.cross_joints import Lean
-from autoreg.lattice_choice import FALSE_ALARM_NATS, TESTED_NATS, Paving
+from autoreg.lattice_choice import TESTED_NATS, Paving
 from autoreg.presence import presence_of
 from autoreg.refusals import (
     FEW_SIDES,
