@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -18,7 +19,10 @@ from benchmarks.report import machine, markdown, print_report
 from benchmarks.result import Result, read_results, to_json
 from benchmarks.suites import NAMES, UnknownSuite, chosen, run_suite
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+# The results that docs/benchmarks.md shows: suites take hours together, and are renewed one by one.
+KEPT = Path(__file__).with_name("results.json")
 BAD_USAGE, GATE_SHUT = 2, 1
 
 
@@ -38,7 +42,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--out", type=Path, default=plain.out, metavar="DIR", help="folder of results")
     made.add_argument("--update-baseline", action="store_true", help="make this run's figures the baseline")
     made.add_argument(
-        "--docs", action="store_true", help="write docs/benchmarks.md from DIR, full runs first"
+        "--docs", action="store_true", help="write docs/benchmarks.md: DIR's results, else those kept"
     )
     made.add_argument("--again", action="store_true", help="run nothing, report the results in DIR")
     made.add_argument("--seeds", type=int, help="so many seeds instead of a suite's own number")
@@ -75,6 +79,8 @@ def main(words: Sequence[str] | None = None, console: Console | None = None) -> 
     console.print(f"wrote {options.out}/report.md, {kept} and the plots", soft_wrap=True)
     if asked.docs:
         results, judgements = documented(options.out)
+        full = [result for result in results if not result.quick and result.skipped is None]
+        KEPT.write_text(to_json(full, place))
         (DOCS / "benchmarks.md").write_text(markdown(results, judgements, place))
         draw_all(results, DOCS / "images")
         console.print("wrote docs/benchmarks.md", soft_wrap=True)
@@ -90,10 +96,14 @@ def main(words: Sequence[str] | None = None, console: Console | None = None) -> 
 
 
 def documented(out: Path) -> tuple[tuple[Result, ...], tuple[Judgement, ...]]:
-    """Every suite's result in a folder, the full run's where there is one, each judged as its kind of run."""
+    """Every suite's best result, each judged as its kind of run.
+
+    A full run's before a short one's, one that ran before one that was skipped, that of a folder before the
+    one that is kept beside the baseline.
+    """
     found: dict[str, Result] = {}
-    for quick in (True, False):
-        for result in read_results(out / f"results-{mode_of(quick)}.json"):
+    for place in (out / f"results-{mode_of(True)}.json", KEPT, out / f"results-{mode_of(False)}.json"):
+        for result in read_results(place):
             if result.suite not in found or result.skipped is None:
                 found[result.suite] = result
     results = tuple(found[name] for name in NAMES if name in found)
@@ -109,13 +119,27 @@ def documented(out: Path) -> tuple[tuple[Result, ...], tuple[Judgement, ...]]:
 
 def _run(names: Sequence[str], options: Options) -> tuple[Result, ...]:
     done: list[Result] = []
+    code = measured_code()
     for name in names:
         print(f"{name} ...", file=sys.stderr, flush=True)
         began = time.monotonic()
         result = run_suite(name, options)
         took = time.monotonic() - began
-        done.append(replace(result, seconds=took, command=options.command(name), quick=options.quick))
+        done.append(
+            replace(result, seconds=took, command=options.command(name), quick=options.quick, code=code)
+        )
     return tuple(done)
+
+
+def measured_code() -> str:
+    """The commit that is measured, as far as git tells it, and the day."""
+    words = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--exclude", "*"]
+    try:
+        said = subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip()
+    except OSError:
+        said = ""
+    day = time.strftime("%Y-%m-%d")
+    return f"{said}, {day}" if said else day
 
 
 if __name__ == "__main__":

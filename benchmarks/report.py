@@ -175,7 +175,8 @@ def _section(result: Result, judged: Sequence[Judgement], images: str) -> list[s
         lines += [f"`{picture.file}` in the folder of results: {picture.caption}.", ""]
     lines += [f"- {note}" for note in result.notes]
     lines += [""] if result.notes else []
-    return [*lines, f"`{result.command}` ({result.seconds:.0f} s)", ""]
+    code = f"; {result.code}" if result.code else ""
+    return [*lines, f"`{result.command}` ({result.seconds:.0f} s{code})", ""]
 
 
 def _rows(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -68,6 +68,7 @@ class Result:
         seconds: how long it took.
         command: the command that measures these figures again.
         quick: whether it was the short run.
+        code: which code was measured, and when.
     """
 
     suite: str
@@ -82,6 +83,7 @@ class Result:
     seconds: float = 0.0
     command: str = ""
     quick: bool = False
+    code: str = ""
 
     def __post_init__(self) -> None:
         for figure in self.figures:

@@ -261,6 +261,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(command, "run_suite", run_suite)
     monkeypatch.setattr(command, "BASELINE", tmp_path / "baseline.json")
     monkeypatch.setattr(command, "DOCS", tmp_path / "docs")
+    monkeypatch.setattr(command, "KEPT", tmp_path / "results.json")
     (tmp_path / "docs").mkdir()
     return tmp_path
 
@@ -302,6 +303,21 @@ def test_the_documentation_takes_the_full_run_where_there_is_one_and_says_which(
     assert "- Ran in full: limit." in text
     assert "- Ran with `--quick`, few seeds and small pictures: truth." in text
     assert "- Not run: refine, robust, vanishing, thesis, speed, scenes, real, variants." in text
+
+
+def test_the_documentation_keeps_full_results_so_that_suites_can_be_renewed_one_by_one(stand_in: Path):
+    first, second = str(stand_in / "first"), str(stand_in / "second")
+    page, kept = stand_in / "docs" / "benchmarks.md", stand_in / "results.json"
+    assert command.main(["--only", "limit", "--out", first, "--docs"]) == 0
+    assert [r.suite for r in command.read_results(kept)] == ["limit"]
+    assert f"s; {command.measured_code()})" in page.read_text()
+    # Another folder knows nothing of the first one; what was skipped or ran in short replaces nothing.
+    assert command.main(["--only", "real", "--out", second, "--docs"]) == 0
+    assert "1 of 2 goals are missed" in page.read_text()
+    assert command.main(["--only", "limit", "--quick", "--out", second, "--docs"]) == 0
+    (full,) = command.read_results(kept)
+    assert (full.suite, full.quick) == ("limit", False)
+    assert "--quick" not in page.read_text().split("## limit")[1].split("## real")[0]
 
 
 def test_a_command_repeats_the_options_that_matter(tmp_path: Path):
