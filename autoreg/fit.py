@@ -42,6 +42,7 @@ class Fit:
     usable: Bool[np.ndarray, " n"]
     solution: Solution
     free: Free
+    rimmed: Bool[np.ndarray, " n"]
 
     @property
     def weight(self) -> Float[np.ndarray, " n"]:
@@ -59,7 +60,7 @@ class Fit:
         """Stations whose joint, darker or lighter than its slabs, is so wide that both of its edges show."""
         lined = np.array(self.strip.polarity)[self.stations.family] != 0
         expected = width_px_of(self.strip, self.stations, self.profiles)
-        return self.usable & lined & (expected > APART_BLURS * self.strip.blur_px)
+        return self.usable & lined & ~self.rimmed & (expected > APART_BLURS * self.strip.blur_px)
 
     @cached_property
     def widths(self) -> Widths:

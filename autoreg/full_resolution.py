@@ -17,6 +17,7 @@ from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.last_step import likeliest
 from autoreg.lattice_choice import Paving, presented
+from autoreg.lit_walls import beside_lit_walls
 from autoreg.presence import presence_of
 from autoreg.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
 from autoreg.refusals import arcs, fanned, focal_untold, no_lattice
@@ -87,7 +88,7 @@ def measured_slabs(
     if slab is not None and (mismatch := slab_mismatch(found.fit, slab)) is not None:
         raise mismatch
     start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
-    fit = from_near_rims(_measure(picture, start, free))
+    fit = beside_lit_walls(from_near_rims(_measure(picture, start, free)))
     bowed = _bowed(fit)
     if bowed is not None:
         raise bowed

@@ -225,6 +225,7 @@ def _round(
             usable=usable,
             solution=solution,
             free=free,
+            rimmed=np.zeros(len(stations), dtype=bool),
         )
     return fit
 

@@ -36,6 +36,9 @@ TOGETHER, LATE = 0.03, 4.0
 # Where a family shows as steps of tone only, these lie at a rim of its joints, may be off together by more,
 # and by less of the shifts that the other family's widths tell, since no widths of their own say how far.
 STEPS_TOGETHER, STEPS_RELIEF = 0.2, 0.25
+# What joints may be off by together that were measured from their near rims, as a share of their width, of
+# which half goes into their middles. Their walls are allowed for already.
+RIMMED_TOGETHER = 0.05
 # Combinations of effects that are this small beside the largest are left out.
 LEAST_EFFECT = 0.005
 # What tells that joints look narrower aslant: so many of them, whose widths differ by such a share among
@@ -96,6 +99,7 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
     steep, facing = np.abs(slope), np.where(slope < 0, -1.0, 1.0)
     full, steps = _full_width_px(joints), only_steps(joints.fit)
+    rimmed = joints.fit.rimmed[joints.rows]
     fading = [FAR_SHADE * np.ones_like(slope)]
     fading += [0.7 * FAR_SHADE * np.maximum(0.0, 1.0 - steep / knee) for knee in (0.8, 2.0)]
     walls = [np.minimum(steep / knee, 1.0) / np.sqrt(len(KNEES)) for knee in KNEES]
@@ -104,6 +108,7 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     for own in (ALONG_X, ALONG_Y):
         for way in (-1.0, 1.0):
             mine = full * (family == own) * (STEPS_RELIEF if own in steps else 1.0)
+            mine[rimmed] = 0.0
             there = facing == way
             far += [mine * there * shift for shift in (*walls, *fading)]
             # The edge on one side of a joint is the far one for some stations, the near one for others.
@@ -149,13 +154,15 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """
     fit, slope, full = joints.fit, _slope(joints), _full_width_px(joints)
     family, steps = fit.stations.family[joints.rows], only_steps(fit)
+    rimmed = fit.rimmed[joints.rows]
     soon, late = (np.clip(slope / knee, -1.0, 1.0) for knee in (SOON, LATE))
     shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
     walls = _wall_shapes(np.abs(slope), full / fit.strip.blur_px)
     own: list[np.ndarray] = []
     for each in (ALONG_X, ALONG_Y):
         mine = full * (family == each)
-        own.append(shapes * ((STEPS_TOGETHER if each in steps else TOGETHER) * mine)[:, None])
+        together = np.where(rimmed, RIMMED_TOGETHER, STEPS_TOGETHER if each in steps else TOGETHER)
+        own.append(shapes * (together * mine)[:, None])
         own += [walls * (way * mine * (way * slope > 0))[:, None] for way in (-1.0, 1.0)]
     return joints.middles_only(_in_fewer_columns(np.concatenate(own, 1)))
 
