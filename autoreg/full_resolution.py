@@ -88,7 +88,7 @@ def measured_slabs(
     if slab is not None and (mismatch := slab_mismatch(found.fit, slab)) is not None:
         raise mismatch
     start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
-    fit = beside_lit_walls(from_near_rims(_measure(picture, start, free)))
+    fit = from_what_shows(_measure(picture, start, free))
     bowed = _bowed(fit)
     if bowed is not None:
         raise bowed
@@ -98,6 +98,11 @@ def measured_slabs(
         if settled is None or settled.margin_nats < 0:
             raise no_lattice(settled, None)
         return Laid(fit, settled, rests.result())
+
+
+def from_what_shows(fit: Fit) -> Fit:
+    """The fit with joints of which near slabs or light walls hide a part measured by what is left of them."""
+    return beside_lit_walls(from_near_rims(fit))
 
 
 def _bowed(fit: Fit) -> Refusal | None:

@@ -26,9 +26,9 @@ from autoreg.strips import INDEPENDENT, edge, single
 LEAST_SLOPE, LEAST_MEDIAN_SLOPE, LEAST_BLURS = 0.15, 0.3, 2.0
 # How high the light reaches, in widths, and the wall's tones against the slabs' that are tried; at first the
 # pairs of these numbers.
-HEIGHTS = (0.5, 0.7, 0.9, 1.1, 1.4)
-WALLS = (0.9, 0.95, 1.0, 1.06, 1.12, 1.25, 1.5)
-AT_FIRST = ((0, 1), (0, 4), (1, 2), (3, 1))
+HEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4)
+WALLS = (0.9, 0.95, 1.0, 1.03, 1.06, 1.12, 1.18, 1.25, 1.4)
+AT_FIRST = ((0, 1), (0, 5), (2, 2), (5, 1))
 # So many joints tell both, at least and at most.
 FEWEST, SAMPLE = 12, 60
 # Places that are tried, from where a strip of one tone was found: as far as this share of the width and so
@@ -36,7 +36,7 @@ FEWEST, SAMPLE = 12, 60
 FARTHEST, FARTHEST_PX, STEPS = 0.6, 0.5, 12
 # Three parts must be so much likelier than one; where they are so much less likely at first, no others are
 # tried.
-LEAST_NATS, HOPELESS_NATS = 20.0, -20.0
+LEAST_NATS, HOPELESS_NATS = 20.0, -40.0
 # Joints that look narrower than this share of those across them, or light where those are dark, may well hide
 # a part: so much likelier is enough for them.
 NARROWER, LEAST_NATS_HIDING = 0.9, 5.0

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from autoreg.camera import Camera
 from autoreg.fit import Fit
 from autoreg.freedom import Free
-from autoreg.full_resolution import REACH
+from autoreg.full_resolution import REACH, from_what_shows
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.last_step import likeliest, rested
 from autoreg.refine import NARROW, refine_until_still
@@ -39,6 +39,7 @@ def finish(
     fit = refine_until_still(picture, camera, start, grid, free=Free(), search=search, reach=REACH)
     if fit is None:
         return None
+    fit = from_what_shows(fit)
     last = rested(picture, likeliest(picture, fit), REACH)
     return Finish(last.fit.cam_from_ground, last.covariance, fit)
 
