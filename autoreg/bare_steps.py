@@ -7,7 +7,7 @@ cannot say. That joints are seen across it as lines does: they have beds, and th
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import astuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -77,24 +77,5 @@ def from_near_rims(fit: Fit) -> Fit:
         bloom = bloom_px(step, stations, fit.strip, np.ones(len(rows), bool))
         beyond = np.clip(across_slope(fit)[rows] / HIDDEN_SLOPE, -1.0, 1.0)
         middle = step.offset_px - bloom + 0.5 * beyond * fit.strip.width[1 - own] * scale
-        fit = _moved(fit, rows, middle, step.sigma_px)
+        fit = fit.measured_at(rows, middle, step.sigma_px)
     return fit
-
-
-def _moved(
-    fit: Fit,
-    rows: Int[np.ndarray, " k"],
-    middle_px: Float[np.ndarray, " k"],
-    sigma_px: Float[np.ndarray, " k"],
-) -> Fit:
-    """The fit with other measurements of some stations; its pose stays."""
-    offset, sigma, distances = (
-        fit.offsets.offset_px.copy(),
-        fit.offsets.sigma_px.copy(),
-        fit.distances_px.copy(),
-    )
-    # Distances are of the projected places from the measured ones.
-    distances[rows] += offset[rows] - middle_px
-    offset[rows], sigma[rows] = middle_px, sigma_px
-    offsets = replace(fit.offsets, offset_px=offset, sigma_px=sigma)
-    return replace(fit, offsets=offsets, distances_px=distances)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from autoreg.camera import Camera
 from autoreg.edges import Offsets
@@ -54,6 +54,24 @@ class Fit:
         """Share of the stations that do not lie on their joint, in the family with more of them."""
         off, family = self.weight < LEAST_WEIGHT, self.stations.family
         return max(float(off[family == k].mean()) for k in np.unique(family))
+
+    def measured_at(
+        self,
+        rows: Int[np.ndarray, " k"],
+        offset_px: Float[np.ndarray, " k"],
+        sigma_px: Float[np.ndarray, " k"],
+    ) -> Fit:
+        """The fit with other measurements of some stations; its pose stays."""
+        offset, sigma, distances = (
+            self.offsets.offset_px.copy(),
+            self.offsets.sigma_px.copy(),
+            self.distances_px.copy(),
+        )
+        # Distances are of the projected places from the measured ones.
+        distances[rows] += offset[rows] - offset_px
+        offset[rows], sigma[rows] = offset_px, sigma_px
+        offsets = replace(self.offsets, offset_px=offset, sigma_px=sigma)
+        return replace(self, offsets=offsets, distances_px=distances)
 
     @cached_property
     def apart(self) -> Bool[np.ndarray, " n"]:

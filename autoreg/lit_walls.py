@@ -19,6 +19,7 @@ from jaxtyping import Float, Int
 
 from autoreg.bare_steps import across_slope
 from autoreg.fit import Fit
+from autoreg.joint_looks import Strip
 from autoreg.strips import INDEPENDENT, edge, single
 
 # Joints seen from above, below this slope, show their beds whole, and say little where half are below the
@@ -80,19 +81,41 @@ def beside_lit_walls(fit: Fit) -> Fit:
         for way in (-1.0, 1.0):
             seen = fit.usable & (fit.stations.family == family) & (way * slope > LEAST_SLOPE)
             rows = np.flatnonzero(seen)
-            side = _side_of(fit, rows, way, slope, width) if len(rows) else None
-            wide = np.flatnonzero(width * fit.profiles.px_per_unit[rows] > LEAST_BLURS * fit.strip.blur_px)
-            if side is None or len(wide) < FEWEST or np.median(side.slope[wide]) < LEAST_MEDIAN_SLOPE:
+            if not len(rows):
                 continue
-            own_width, sign = fit.strip.width[family], fit.strip.polarity[family]
-            hiding = own_width < NARROWER * width or sign > 0 > fit.strip.polarity[1 - family]
-            least_nats = LEAST_NATS_HIDING if hiding else LEAST_NATS
-            looks = _likeliest_looks(side.take(wide), own_width, width, least_nats)
+            side = _side_of(fit, rows, way, slope, width)
+            looks = _looks_of(side, fit.strip, int(family), width)
             if looks is not None:
-                parts = np.array_split(np.arange(len(rows)), -(-len(rows) // SAMPLE))
-                farther = np.concatenate([_fitted(side.take(part), width, *looks)[1] for part in parts])
-                fit = _moved(fit, rows, way * farther)
+                fit = _measured(fit, rows, way, side, width, looks)
     return fit
+
+
+def _looks_of(side: _Side, strip: Strip, family: int, width: float) -> tuple[float, float] | None:
+    """How high the light reaches and how light the wall is; None if that does not show."""
+    wide = np.flatnonzero(width * side.px_per_unit > LEAST_BLURS * side.blur_px)
+    if len(wide) < FEWEST or np.median(side.slope[wide]) < LEAST_MEDIAN_SLOPE:
+        return None
+    narrower = strip.width[family] < NARROWER * width
+    lighter = strip.polarity[family] > 0 > strip.polarity[1 - family]
+    least_nats = LEAST_NATS_HIDING if narrower or lighter else LEAST_NATS
+    return _likeliest_looks(side.take(wide), strip.width[family], width, least_nats)
+
+
+def _measured(
+    fit: Fit,
+    rows: Int[np.ndarray, " n"],
+    way: float,
+    side: _Side,
+    width: float,
+    looks: tuple[float, float],
+) -> Fit:
+    """The fit with the middles of one side's joints measured by strips of three parts."""
+    parts = np.array_split(np.arange(len(rows)), -(-len(rows) // SAMPLE))
+    farther = np.concatenate([_fitted(side.take(part), width, *looks)[1] for part in parts])
+    offset, sigma = fit.offsets.offset_px[rows] + way * farther, fit.offsets.sigma_px[rows]
+    rimmed = fit.rimmed.copy()
+    rimmed[rows] = True
+    return replace(fit.measured_at(rows, offset, sigma), rimmed=rimmed)
 
 
 def _full_width(fit: Fit) -> float:
@@ -189,14 +212,3 @@ def _fitted(
     beyond = np.clip(beyond, -1.0, 1.0)
     least = least - 0.25 * (before - after) * beyond
     return np.log(np.maximum(least, 0.0) + ROUGH**2), every * (best - STEPS + beyond)
-
-
-def _moved(fit: Fit, rows: Int[np.ndarray, " k"], farther_px: Float[np.ndarray, " k"]) -> Fit:
-    """The fit with some stations measured elsewhere; its pose stays. Their widths are not measured."""
-    offset, distances = fit.offsets.offset_px.copy(), fit.distances_px.copy()
-    offset[rows] += farther_px
-    # Distances are of the projected places from the measured ones.
-    distances[rows] -= farther_px
-    rimmed = fit.rimmed.copy()
-    rimmed[rows] = True
-    return replace(fit, offsets=replace(fit.offsets, offset_px=offset), distances_px=distances, rimmed=rimmed)
