@@ -27,7 +27,8 @@ class Fit:
     """A refined pose with all that it was fitted to.
 
     `weight` is each station's robust weight (0 to 1), `sigma_px` its expected scatter: measurement and the
-    slabs' own irregularity together.
+    slabs' own irregularity together. What is `rimmed` was measured from its near slab's rim, by a width that
+    other joints told.
     """
 
     camera: Camera
@@ -62,11 +63,8 @@ class Fit:
         sigma_px: Float[np.ndarray, " k"],
     ) -> Fit:
         """The fit with other measurements of some stations; its pose stays."""
-        offset, sigma, distances = (
-            self.offsets.offset_px.copy(),
-            self.offsets.sigma_px.copy(),
-            self.distances_px.copy(),
-        )
+        offset, sigma = self.offsets.offset_px.copy(), self.offsets.sigma_px.copy()
+        distances = self.distances_px.copy()
         # Distances are of the projected places from the measured ones.
         distances[rows] += offset[rows] - offset_px
         offset[rows], sigma[rows] = offset_px, sigma_px

@@ -36,8 +36,8 @@ TOGETHER, LATE = 0.03, 4.0
 # Where a family shows as steps of tone only, these lie at a rim of its joints, may be off together by more,
 # and by less of the shifts that the other family's widths tell, since no widths of their own say how far.
 STEPS_TOGETHER, STEPS_RELIEF = 0.2, 0.25
-# What joints may be off by together that were measured from their near rims, as a share of their width, of
-# which half goes into their middles. Their walls are allowed for already.
+# What joints that were measured from their near rims may be off by together, as a share of their width. Their
+# walls are allowed for already: no relief is asked of them.
 RIMMED_TOGETHER = 0.05
 # Combinations of effects that are this small beside the largest are left out.
 LEAST_EFFECT = 0.005
@@ -98,8 +98,8 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """
     slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
     steep, facing = np.abs(slope), np.where(slope < 0, -1.0, 1.0)
-    full, steps = _full_width_px(joints), only_steps(joints.fit)
-    rimmed = joints.fit.rimmed[joints.rows]
+    steps = only_steps(joints.fit)
+    full = np.where(joints.fit.rimmed[joints.rows], 0.0, _full_width_px(joints))
     fading = [FAR_SHADE * np.ones_like(slope)]
     fading += [0.7 * FAR_SHADE * np.maximum(0.0, 1.0 - steep / knee) for knee in (0.8, 2.0)]
     walls = [np.minimum(steep / knee, 1.0) / np.sqrt(len(KNEES)) for knee in KNEES]
@@ -108,7 +108,6 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     for own in (ALONG_X, ALONG_Y):
         for way in (-1.0, 1.0):
             mine = full * (family == own) * (STEPS_RELIEF if own in steps else 1.0)
-            mine[rimmed] = 0.0
             there = facing == way
             far += [mine * there * shift for shift in (*walls, *fading)]
             # The edge on one side of a joint is the far one for some stations, the near one for others.
