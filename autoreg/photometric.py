@@ -58,7 +58,10 @@ ROUGHLY_STILL_SIGMAS, STILL_SIGMAS = 1.0, 0.5
 # are off by as much as the pixels' noise hides in a cell double it; those of real slabs raise it to hundreds.
 MOST_DESIGN_EFFECT = 8.0
 # ... judged by no fewer cells than this beyond the number of unknowns.
-SPARE_CELLS = 8
+SPARE_CELLS = 4
+# Looks that have changed by more than these factors have run away. The width of a joint that is narrower than
+# the blur is hard to tell from its depth, so that a strip fitted to it may be several times too wide.
+NARROWEST, WIDEST = 0.1, 3.0
 # A pose that is so unlikely by the joints' measured places is none.
 CONTRADICTION = 1e-4
 # What joints' halves differ by counts as far as it exceeds so many of its standard deviations.
@@ -175,7 +178,7 @@ def _sound(shape: Shape, start: Shape) -> bool:
     """Whether a step has stayed near where it began."""
     finite = np.isfinite(np.r_[shape.pose.R.ravel(), shape.pose.t, shape.width, shape.blur_px]).all()
     ratios = np.r_[np.array(shape.width) / start.width, shape.blur_px / start.blur_px]
-    return bool(finite and (ratios > 0.3).all() and (ratios < 3.0).all())
+    return bool(finite and (ratios > NARROWEST).all() and (ratios < WIDEST).all())
 
 
 def _judged(

@@ -321,6 +321,27 @@ def test_the_pose_of_a_picture_without_noise_is_exact() -> None:
     assert np.array(found.fit.strip.width) == pytest.approx(scene.joint_width_m, rel=0.01)
 
 
+def test_joints_narrower_than_the_blur_are_found_from_a_strip_several_times_too_wide() -> None:
+    thin = replace(PLAIN, joint_width_m=0.003, noise_grey=1.0)
+    fit = fitted(thin, 0)
+    assert min(fit.strip.width) > 3.5 * thin.joint_width_m
+    found = on_grey_levels(photo_of(thin, 0), fit, 1e-4 * np.eye(6), REACH)
+    assert found is not None
+    assert np.array(found.fit.strip.width) == pytest.approx(0.003, rel=0.3)
+    assert crossings_off_px(thin, found.fit.cam_from_ground) < 0.02
+
+
+def test_seventeen_crossings_of_even_slabs_are_enough() -> None:
+    few = replace(PLAIN, spacing_m=(1.36, 1.36))
+    for seed in range(6):
+        picture = photo_of(few, seed)
+        places = likeliest(picture, fitted(few, seed))
+        last = rested(picture, places, REACH)
+        assert last.fit is not places.fit
+        off = error_of(few, last.fit.cam_from_ground)
+        assert off @ np.linalg.solve(last.covariance, off) < chi2.ppf(0.999, 6)
+
+
 @pytest.mark.parametrize("scene", [PLAIN, BOND, LENS])
 def test_grey_levels_know_the_pose_better_than_measured_places(scene: SyntheticScene) -> None:
     seeds = range(8)
