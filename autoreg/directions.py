@@ -81,15 +81,16 @@ def segment_rays(segments: Segments, ideal_xy: Float[np.ndarray, "n 2 2"], focal
 
     Segments without length, or outside the field where the lens model has an inverse (NaN), are left out.
     """
-    usable = np.isfinite(ideal_xy).all((1, 2)) & (segments.length_px > 0)
-    order = np.argsort(-segments.length_px, kind="stable")
+    length = segments.length_px
+    usable = np.isfinite(ideal_xy).all((1, 2)) & (length > 0)
+    order = np.argsort(-length, kind="stable")
     order = order[usable[order]]
-    segments, ideal_xy = segments.take(order), ideal_xy[order]
+    ideal_xy = ideal_xy[order]
     ends = np.concatenate([ideal_xy, np.ones((len(ideal_xy), 2, 1))], -1)
     middle = ends.mean(1)
     half = 0.5 * np.hypot(*(ideal_xy[:, 1] - ideal_xy[:, 0]).T)
-    sigma = np.hypot(segments.sigma_px / focal_px, LAYING_SPREAD_RAD * half)
-    return SegmentRays(ends, middle, np.cross(ends[:, 0], middle), half, sigma, segments.length_px)
+    sigma = np.hypot(segments.sigma_px[order] / focal_px, LAYING_SPREAD_RAD * half)
+    return SegmentRays(ends, middle, np.cross(ends[:, 0], middle), half, sigma, length[order])
 
 
 def camera_rays(segments: Segments, camera: Camera) -> SegmentRays:
@@ -106,21 +107,33 @@ def agreement(
     A segment that a vanishing point lies on (or nearly) agrees with none: a real line never reaches its own.
     """
     dirs = dirs.astype(dtype)
-    squared = dirs @ rays.moment_in_cutoffs.astype(dtype).T
-    np.square(squared, out=squared)
-    denominator = squared_denominator(rays, dirs)
-    blind = denominator < rays.blind_reach.astype(dtype) * np.square(dirs[..., 2:])
-    squared /= denominator
-    kernel = np.subtract(1.0, squared, out=squared)
+    numerator = dirs @ rays.moment_in_cutoffs.astype(dtype).T
+    return agreement_of(rays, dirs, numerator, squared_denominator(rays, dirs))
+
+
+def agreement_of(
+    rays: SegmentRays,
+    dirs: Float[np.ndarray, "*k 3"],
+    numerator: Float[np.ndarray, "*k n"],
+    denominator: Float[np.ndarray, "*k n"],
+) -> Float[np.ndarray, "*k n"]:
+    """The `agreement` with directions of any length, by r's numerator in cut-offs and squared denominator."""
+    kernel = np.square(numerator)
+    kernel /= denominator
+    np.subtract(1.0, kernel, out=kernel)
     np.maximum(kernel, 0.0, out=kernel)
-    kernel[blind] = 0.0
+    blind = denominator < rays.blind_reach.astype(kernel.dtype) * np.square(dirs[..., 2:])
+    np.copyto(kernel, 0.0, where=blind)
     return kernel
 
 
 def squared_denominator(rays: SegmentRays, dirs: Float[np.ndarray, "*k 3"]) -> Float[np.ndarray, "*k n"]:
-    """Square of r's denominator for unit directions, by one matrix product; never zero."""
-    x, y, z = dirs[..., 0], dirs[..., 1], dirs[..., 2]
-    quadric = np.stack([x * x + y * y, -2 * x * z, -2 * y * z, z * z], -1)
+    """Square of r's denominator, by one matrix product; never zero."""
+    quadric = np.empty((*dirs.shape[:-1], 4), dirs.dtype)
+    z = dirs[..., 2]
+    np.einsum("...k,...k->...", dirs[..., :2], dirs[..., :2], out=quadric[..., 0])
+    np.multiply(dirs[..., :2], -2 * z[..., None], out=quadric[..., 1:3])
+    np.square(z, out=quadric[..., 3])
     denominator = quadric @ rays.squares.astype(dirs.dtype)
     return np.maximum(denominator, np.finfo(dirs.dtype).tiny, out=denominator)
 
@@ -158,16 +171,18 @@ def _peaks(
     dirs: Float[np.ndarray, "n 3"], support: np.ndarray, count: int, apart_rad: float
 ) -> Int[np.ndarray, " k"]:
     """Index of the best supported directions that lie apart from all better ones."""
-    left, narrow = support.astype(np.float32), dirs.astype(np.float32)
+    order = np.argsort(-support, kind="stable")
+    order = order[support[order] > 0]
+    best = dirs[order].astype(np.float32)
+    columns, limit = np.ascontiguousarray(best.T), np.float32(np.cos(apart_rad))
+    left = np.ones(len(best), dtype=bool)
     kept: list[int] = []
-    for _ in range(min(count, len(dirs))):
-        best = int(np.argmax(left))
-        if left[best] <= 0:
-            break
-        kept.append(best)
-        left[np.abs(narrow @ narrow[best]) > np.cos(apart_rad)] = 0.0
-        left[best] = 0.0
-    return np.array(kept, int)
+    while len(kept) < count and left.any():
+        kept.append(int(left.argmax()))
+        cosine = best[kept[-1]] @ columns
+        left &= np.abs(cosine, out=cosine) <= limit
+        left[kept[-1]] = False
+    return order[kept]
 
 
 def _varied(support: Float[np.ndarray, "k n"], count: int) -> Int[np.ndarray, " c"]:

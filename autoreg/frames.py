@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from autoreg.directions import SegmentRays, agreement, squared_denominator
+from autoreg.directions import CUTOFF_SIGMAS, SegmentRays, agreement, agreement_of, squared_denominator
 
 CIRCLE_BINS = 180
 # Focal length relative to that of the rays, beyond which no lens of a camera lies.
@@ -56,12 +56,14 @@ def memberships(
     rays: SegmentRays, dirs: Float[np.ndarray, "k f 3"], allowed: Bool[np.ndarray, "k n"] | None
 ) -> Float[np.ndarray, "k f n"]:
     """Agreement of each segment with the one direction of its frame that it agrees with best."""
-    kernel = agreement(rays, dirs)
-    for family in range(1, kernel.shape[1]):
-        best = kernel[:, :family].max(1) if family > 1 else kernel[:, 0]
-        worse = kernel[:, family] <= best
-        kernel[:, family][worse] = 0.0
-        kernel[:, :family][np.broadcast_to(~worse[:, None], kernel[:, :family].shape)] = 0.0
+    return _best_alone(agreement(rays, dirs), allowed)
+
+
+def _best_alone(
+    kernel: Float[np.ndarray, "k f n"], allowed: Bool[np.ndarray, "k n"] | None
+) -> Float[np.ndarray, "k f n"]:
+    """Agreements without those of a segment with all but its best direction, and of segments not allowed."""
+    kernel *= kernel == kernel.max(1, keepdims=True)
     if allowed is not None:
         kernel *= allowed[:, None, :]
     return kernel
@@ -86,24 +88,26 @@ def fit_step(
     shrink = np.exp(-fit.log_focal)[:, None, None]
     scale = np.array([1.0, 1.0, 0.0]) + shrink * np.array([0.0, 0.0, 1.0])
     dirs = dirs_cam * scale
-    numerator = dirs @ rays.moment.T
     denominator = squared_denominator(rays, dirs)
-    inverse = 1.0 / (np.sqrt(denominator) * rays.sigma)
-    weight = memberships(rays, dirs / np.linalg.norm(dirs, axis=-1, keepdims=True), allowed)
-    moment = scale[:, :, None, :] * rays.moment
-    slope = np.empty((*numerator.shape, 4))
-    d, m = np.moveaxis(dirs_cam, 2, 0)[..., None], np.moveaxis(moment, 3, 0)
-    for k, i, j in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        slope[..., k] = d[i] * m[j] - d[j] * m[i]
-    slope[..., 3] = -dirs[:, :, None, 2] * rays.moment[:, 2]
-    slope *= inverse[..., None]
-    frames, observations = len(slope), families * len(rays)
-    J = slope.reshape(frames, observations, 4)
-    w = weight.reshape(frames, observations)
-    information = np.swapaxes(J * w[..., None], 1, 2) @ J
-    gradient = ((w * (numerator * inverse).reshape(w.shape))[:, None] @ J)[:, 0]
+    numerator = dirs @ rays.moment_in_cutoffs.T
+    weight = _best_alone(agreement_of(rays, dirs, numerator, denominator), allowed)
+    inverse = 1.0 / np.sqrt(denominator)
+    x, y, z = dirs_cam[..., None, :].transpose(3, 0, 1, 2)
+    a, b, depth = rays.moment_in_cutoffs.T
+    c = shrink * depth
+    rows = [y * c - z * b, z * a - x * c, x * b - y * a]
+    if log_focal_prior is not None:
+        rows.append(-z * c)
+    frames, observations, p = len(dirs), families * len(rays), len(rows)
+    J = np.stack([row * inverse for row in rows], 1).reshape(frames, p, observations)
+    weighted = J * weight.reshape(frames, 1, observations)
+    information, gradient = np.zeros((frames, 4, 4)), np.zeros((frames, 4))
+    information[:, :p, :p] = weighted @ J.swapaxes(1, 2)
+    gradient[:, :p] = (weighted @ (numerator * inverse).reshape(frames, observations, 1))[..., 0]
+    # So far distances were in cut-offs, not in standard deviations.
+    information *= CUTOFF_SIGMAS**2
+    gradient *= CUTOFF_SIGMAS**2
     if log_focal_prior is None:
-        information[:, 3, :] = information[:, :, 3] = gradient[:, 3] = 0.0
         information[:, 3, 3] = 1.0
     else:
         mean, spread = log_focal_prior
@@ -122,11 +126,12 @@ def rotations(vectors: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3 3"]:
     """Rotation matrices of many rotation vectors in radians."""
     angle = np.linalg.norm(vectors, axis=1)
     x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).reshape(-1, 3, 3)
-    first = np.sinc(angle / np.pi)[:, None, None]
-    second = (0.5 * np.sinc(angle / (2 * np.pi)) ** 2)[:, None, None]
-    return np.eye(3) + first * skew + second * skew @ skew
+    skew = np.zeros((len(vectors), 3, 3))
+    skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0] = x, y, z
+    skew[:, 1, 2], skew[:, 2, 0], skew[:, 0, 1] = -x, -y, -z
+    # Of half the angle, a: sin(a) / a, which numpy has exactly at zero.
+    sinc = np.sinc(angle / (2 * np.pi))[:, None, None]
+    return np.eye(3) + sinc * np.cos(0.5 * angle)[:, None, None] * skew + 0.5 * sinc**2 * skew @ skew
 
 
 MayVote = Callable[[Float[np.ndarray, "k n 3"], Float[np.ndarray, "k n 2 3"]], Bool[np.ndarray, "k n"]]

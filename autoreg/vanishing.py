@@ -15,10 +15,10 @@ from autoreg.frames import FrameFit, fit_step, frames_through, image_dirs, membe
 from autoreg.segments import Segments
 
 # The longest so many segments vote, and each two of the longest so many name a direction.
-VOTERS, SEEDS = 250, 50
+VOTERS, SEEDS = 250, 40
 # Directions that frames are begun with, frames that are fitted by the voters, steps of their fits, and steps
 # that the best then takes by all segments.
-FIRST, FITTED, STEPS, LAST_STEPS = 14, 6, 3, 2
+FIRST, FITTED, STEPS, LAST_STEPS = 8, 4, 3, 2
 
 
 @dataclass(frozen=True)
