@@ -24,9 +24,10 @@ from autoreg.full_resolution import REACH, Laid, measured_rows, measured_slabs
 from autoreg.geometry import Rigid
 from autoreg.image import as_gray
 from autoreg.last_step import rested
+from autoreg.lattice_choice import Paving
 from autoreg.refusals import focal_untold, leaning, maybe_wall
 from autoreg.rows import Rows
-from autoreg.search import RADIAL_SIGMA, find_paving, other_camera
+from autoreg.search import RADIAL_SIGMA, find_paving, find_rows, other_camera
 from autoreg.sight import Sight, see
 from autoreg.solver import warm_up
 from autoreg.uncertainty import check_camera
@@ -117,18 +118,17 @@ def _laid(
     height, width = picture.shape
     found = find_paving(sight, camera, slab)
     given = camera if source == "file" else None
-    # A wrong camera may leave rows of what is a lattice.
-    blamed = _other_camera(sight, given) if isinstance(found, Rows) else None
-    if blamed is not None:
-        raise blamed
-    wall = maybe_wall((found.paving if isinstance(found, Rows) else found).fit)
-    if wall is not None:
-        raise wall
     free = _freedom(camera, source, slab, width, height)
-    if isinstance(found, Rows):
-        laid = measured_rows(sight, picture, found, free, square=source == "photo")
-    else:
-        laid = measured_slabs(sight.looks.picture, picture, found, free, slab)
+    try:
+        laid = _measured(sight, picture, found, free, given, source, slab)
+    except Refusal as refusal:
+        if isinstance(found, Rows) or refusal.code != "no_lattice":
+            raise
+        # What is no lattice at the photo's own resolution, rows may have looked like.
+        rows = find_rows(sight, camera)
+        if rows is None:
+            raise
+        laid = _measured(sight, picture, rows, free, given, source, slab)
     wall = maybe_wall(laid.likeliest.fit, laid.likeliest.covariance)
     if wall is not None:
         raise wall
@@ -137,6 +137,32 @@ def _laid(
     if off is not None:
         raise _other_camera(sight, given) or off
     return laid
+
+
+def _measured(
+    sight: Sight,
+    picture: np.ndarray,
+    found: Paving | Rows,
+    free: Free,
+    given: Camera | None,
+    source: Source,
+    slab: tuple[float, float] | None,
+) -> Laid:
+    """What was found, measured at the photo's own resolution, if it may be what it looks like.
+
+    Raises:
+        Refusal: it is not, or vanishes there.
+    """
+    # A wrong camera may leave rows of what is a lattice.
+    blamed = _other_camera(sight, given) if isinstance(found, Rows) else None
+    if blamed is not None:
+        raise blamed
+    wall = maybe_wall((found.paving if isinstance(found, Rows) else found).fit)
+    if wall is not None:
+        raise wall
+    if isinstance(found, Rows):
+        return measured_rows(sight, picture, found, free, square=source == "photo")
+    return measured_slabs(sight.looks.picture, picture, found, free, slab)
 
 
 def _other_camera(sight: Sight, given: Camera | None) -> Refusal | None:

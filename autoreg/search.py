@@ -91,6 +91,18 @@ def find_paving(
     return _unrivalled(best)
 
 
+def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
+    """The rows that explain the photo best, at detection scale, if any do better than chance.
+
+    For photos whose lattice, as `find_paving` gave it, has turned out to be none.
+    """
+    looks, segments = sight.looks, sight.segments
+    _, hypotheses = _hypotheses(segments, sight.size, camera)
+    planes = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
+    rows = _best_rows(looks, segments, sight.size, planes)[0]
+    return rows if rows is not None and rows.margin_nats > 0 else None
+
+
 def _by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tuple[Paving, ...]:
     """Lattices that are plain to see on the clearest plane by another focal length, if any are."""
     if not planes or planes[0].score < PROMISING_NATS:
@@ -167,10 +179,21 @@ def _find_rows(
     planes: list[PlaneCombs],
     rejected: tuple[Paving, ...],
 ) -> tuple[Rows, PlaneCombs]:
-    """The rows that explain the photo best, where no lattice does better than chance, and their plane."""
-    fields = [(lay_rows(looks.picture, plane, segments, size), plane) for plane in planes]
-    found = [(rows, plane) for rows, plane in fields if rows is not None]
-    rows, plane = max(found, key=lambda pair: pair[0].margin_nats, default=(None, None))
+    """The rows that explain the photo best, where no lattice does better than chance, and their plane.
+
+    Raises:
+        Refusal: they do no better than chance either.
+    """
+    rows, plane = _best_rows(looks, segments, size, planes)
     if rows is None or plane is None or rows.margin_nats <= 0:
         raise no_lattice(rejected[0] if rejected else None, rows)
     return rows, plane
+
+
+def _best_rows(
+    looks: Looks, segments: Segments, size: tuple[int, int], planes: list[PlaneCombs]
+) -> tuple[Rows | None, PlaneCombs | None]:
+    """The clearest rows on any of some planes, and their plane."""
+    fields = [(lay_rows(looks.picture, plane, segments, size), plane) for plane in planes]
+    found = [(rows, plane) for rows, plane in fields if rows is not None]
+    return max(found, key=lambda pair: pair[0].margin_nats, default=(None, None))

@@ -5,10 +5,15 @@ import numpy as np
 import pytest
 from paved import CAMERA, STACK
 
+from autoreg.align import align
+from autoreg.errors import Refusal
+from autoreg.image import as_gray
 from autoreg.plane_combs import PlaneCombs, comb_planes
 from autoreg.rows import Rows, lay_rows
+from autoreg.search import find_paving
 from autoreg.segments import Segments, detect_segments
-from autoreg.sight import looks_at
+from autoreg.sight import looks_at, see
+from autoreg.synthetic import SyntheticPhoto
 
 PX_PER_M, EXTENT_M = 160, 8.0
 JOINT, SLAB = 70, 150
@@ -98,3 +103,26 @@ def test_unbroken_joints_without_cross_joints_are_no_rows():
 def test_joints_that_break_off_regularly_are_herringbone_and_no_rows():
     rows, _, _ = rows_in(seen_from_the_camera(herringbone(0.3)))
     assert rows is None or rows.margin_nats < 0
+
+
+@pytest.fixture
+def a_lattice_comes_first(stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch):
+    """Whatever the photo, the search comes up with the lattice of another one."""
+    other = find_paving(see(as_gray(stack_photo.pixels)), CAMERA)
+    monkeypatch.setattr("autoreg.align.find_paving", lambda *_: other)
+
+
+@pytest.mark.usefixtures("a_lattice_comes_first")
+def test_what_is_no_lattice_at_full_resolution_may_be_rows():
+    alignment = align(seen_from_the_camera(ashlar(0.3)), CAMERA, camera_height=1.6)
+    assert alignment.lattice.kind == "rows"
+    assert alignment.lattice.spacing_y == pytest.approx(0.3, rel=0.01)
+    up, true_up = (pose.R[:, 2] for pose in (alignment.pose.cam_from_ground, STACK.cam_from_ground))
+    assert np.rad2deg(np.arccos(np.clip(up @ true_up, -1, 1))) < 0.2
+
+
+@pytest.mark.usefixtures("a_lattice_comes_first")
+def test_what_is_neither_lattice_nor_rows_is_refused_as_no_lattice(gravel_photo: SyntheticPhoto):
+    with pytest.raises(Refusal) as refused:
+        align(gravel_photo.pixels, gravel_photo.camera)
+    assert refused.value.code == "no_lattice"
