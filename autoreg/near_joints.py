@@ -13,8 +13,8 @@ from autoreg.geometry import Rigid
 from autoreg.joint_pixels import CROSSING, ON_X, ON_Y, JointPixels, View
 from autoreg.stations import ALONG_X, Grid, Sides, project_ground
 
-# Pixels are taken from this many blurs on either side of a joint: farther off they tell little of its place, and
-# of a large picture's pixels so many fewer near it would be looked at, ...
+# Pixels are taken from this many blurs on either side of a joint: farther off they tell little of its place,
+# and of a large picture's pixels so many fewer near it would be looked at, ...
 SHOULDER_BLURS = 2.0
 # ... where a slab's side measures so many blurs clear of its joint: below, neighbouring joints run together.
 CLEAR_BLURS = 4.5
