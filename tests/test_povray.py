@@ -1,6 +1,7 @@
 """The scene's camera, objects and light, proven by POV-Ray's own pictures."""
 
 import os
+import re
 import subprocess
 import threading
 import time
@@ -26,11 +27,12 @@ from autoreg.rendering import povray
 from autoreg.rendering.check import check_render
 from autoreg.rendering.depth_of_field import Focus, blur_px
 from autoreg.rendering.layer import Layer, linear_from_srgb
-from autoreg.rendering.objects import Light, Material, Object, OnSlab, Scene, Sphere, UnderPixel
+from autoreg.rendering.objects import FINISHES, Light, Material, Object, OnSlab, Scene, Sphere, UnderPixel
 from autoreg.rendering.povray import find_povray, run_povray
 from autoreg.rendering.povray_engine import PovrayEngine
 from autoreg.rendering.preview import PreviewEngine
 from autoreg.rendering.render import choose_engine, plan_render, render, staged_window
+from autoreg.rendering.scene_objects import finish_text
 from autoreg.rendering.staging import focused
 from autoreg.view import View, Window
 
@@ -215,6 +217,42 @@ def test_a_users_own_scene_includes_the_camera_and_stands_something_on_a_slab(tm
     v, u = np.nonzero(cv2.imread(str(tmp_path / "out.png"), cv2.IMREAD_GRAYSCALE) > 128)
     expected = View(CAMERA, POSE).project(np.array([0.9, -0.2, 0.0]))
     assert [u.mean(), v.mean()] == pytest.approx(expected, abs=0.5)
+
+
+@needs_povray
+def test_every_finish_is_drawn_where_povray_has_no_include_files(tmp_path):
+    balls = tuple(
+        Object(name, Sphere(0.01), OnSlab(-1, -2, (0.03 * k, 0.0)), Material((0.8, 0.2, 0.1), finish=name))
+        for k, name in enumerate(FINISHES)
+    )
+    plan = plan_for(Scene(balls))
+    assert not re.findall(r'#include "(?!scene)', plan.files.text)
+    layer = engine(tmp_path).draw(plan, staged_window(plan))
+    assert (layer.transmission < 0.5).any()
+
+
+@needs_povray
+def test_the_finishes_are_those_of_povrays_own_include_files(tmp_path):
+    balls = [
+        f"sphere {{ <{1.2 * k}, 0, 0>, 0.5 pigment {{ rgb <0.8, 0.4, 0.2> }} finish {{ {name} }} }}"
+        for k, name in enumerate(FINISHES)
+    ]
+    setting = "camera { orthographic location <7, 0, -9> right 16*x up 4*y direction z }\n"
+    setting += "background { rgb 0.5 } light_source { <5, 9, -9> rgb 1 }\n"
+    pictures = []
+    for name, head in (
+        ("theirs", '#include "finish.inc"\n#include "metals.inc"\n'),
+        ("ours", "\n".join(finish_text(name) for name in FINISHES)),
+    ):
+        text = "#version 3.7;\nglobal_settings { assumed_gamma 1 }\n" + head + setting
+        (tmp_path / f"{name}.pov").write_text(text + "\n".join(balls))
+        command = ["povray", f"+I{name}.pov", f"+O{name}.png", "+W320", "+H80", "-D", "-A", "-J"]
+        done = subprocess.run(command, cwd=tmp_path, check=False, capture_output=True, text=True)
+        if name == "theirs" and "Cannot find file" in done.stderr:
+            pytest.skip("POV-Ray's include files are not installed")
+        assert done.returncode == 0, done.stderr
+        pictures.append(cv2.imread(str(tmp_path / f"{name}.png")))
+    assert np.array_equal(*pictures)
 
 
 @needs_povray

@@ -107,11 +107,11 @@ class Mesh:
 
 Shape = Box | Sphere | Cylinder | Cone | Torus | Text | Mesh
 
-# Finishes of POV-Ray's own finish.inc and metals.inc, with the file that has each.
-FINISHES = dict.fromkeys(
-    ("Dull", "Shiny", "Phong_Dull", "Phong_Shiny", "Glossy", "Phong_Glossy", "Luminous", "Mirror"),
-    "finish.inc",
-) | {f"F_Metal{letter}": "metals.inc" for letter in "ABCDE"}
+# Finishes by the names of POV-Ray's own finish.inc and metals.inc.
+FINISHES = (
+    *("Dull", "Shiny", "Phong_Dull", "Phong_Shiny", "Glossy", "Phong_Glossy", "Luminous", "Mirror"),
+    *(f"F_Metal{letter}" for letter in "ABCDE"),
+)
 
 
 @dataclass(frozen=True)

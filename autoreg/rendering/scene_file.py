@@ -223,7 +223,7 @@ def _material(table: Table) -> Material:
         raise table.error(
             "image", f"names {image}, which is no picture that can be read; save it as PNG or JPEG"
         )
-    finish = table.get("finish", one_of(tuple(FINISHES)), None)
+    finish = table.get("finish", one_of(FINISHES), None)
     return Material(table.get(key, _as_colour, (0.6, 0.6, 0.6)), image, finish)
 
 

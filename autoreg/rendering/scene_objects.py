@@ -23,6 +23,23 @@ from autoreg.rendering.scene_words import number, vector
 from autoreg.rendering.staging import Solid, Staging
 from autoreg.rendering.surface import Surface
 
+# What POV-Ray's own finish.inc and metals.inc say: the program may be installed without its include files.
+_FINISHES = {
+    "Dull": "specular 0.5 roughness 0.15",
+    "Shiny": "specular 1 roughness 0.001",
+    "Phong_Dull": "phong 0.5 phong_size 1",
+    "Phong_Shiny": "phong 1 phong_size 200",
+    "Glossy": "specular 1 roughness 0.0001 reflection 0.13",
+    "Phong_Glossy": "phong 1 phong_size 300 reflection 0.13",
+    "Luminous": "ambient 1 diffuse 0",
+    "Mirror": "ambient 0 diffuse 0 reflection 1",
+    "F_MetalA": "ambient 0.35 brilliance 2 diffuse 0.3 metallic specular 0.8 roughness 1/20 reflection 0.1",
+    "F_MetalB": "ambient 0.3 brilliance 3 diffuse 0.4 metallic specular 0.7 roughness 1/60 reflection 0.25",
+    "F_MetalC": "ambient 0.25 brilliance 4 diffuse 0.5 metallic specular 0.8 roughness 1/80 reflection 0.5",
+    "F_MetalD": "ambient 0.15 brilliance 5 diffuse 0.6 metallic specular 0.8 roughness 1/100 reflection 0.65",
+    "F_MetalE": "ambient 0.1 brilliance 6 diffuse 0.7 metallic specular 0.8 roughness 1/120 reflection 0.8",
+}
+
 
 @dataclass(frozen=True)
 class ObjectsText:
@@ -41,10 +58,8 @@ class ObjectsText:
 
 def objects_text(staging: Staging) -> ObjectsText:
     """All objects of a staging."""
-    files = sorted(
-        {FINISHES[s.source.material.finish] for s in staging.solids if s.source.material.finish is not None}
-    )
-    lines = [f'#include "{name}"' for name in files]
+    used = {solid.source.material.finish for solid in staging.solids}
+    lines = [finish_text(name) for name in FINISHES if name in used]
     includes: list[tuple[str, str]] = []
     images: list[tuple[str, Path]] = []
     placed: list[str] = []
@@ -69,6 +84,11 @@ def objects_text(staging: Staging) -> ObjectsText:
         "// Each is made standing on Z = 0 around the origin, then placed by one of the macros above.\n"
     )
     return ObjectsText(head + "\n".join(lines) + "\n", tuple(includes), tuple(images))
+
+
+def finish_text(name: str) -> str:
+    """The declaration of one of `FINISHES`."""
+    return f"#declare {name} = finish {{ {_FINISHES[name]} }}"
 
 
 def mesh_text(name: str, surface: Surface) -> str:
