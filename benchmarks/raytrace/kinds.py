@@ -155,6 +155,17 @@ def _low_contrast(s: Scene, r: np.random.Generator) -> Scene:
     return replace(s, noise_grey=r.uniform(6, 11), jpeg_quality=75, blur_px=r.uniform(0.5, 1.0))
 
 
+def _compound(s: Scene, r: np.random.Generator) -> Scene:
+    """Several things at once, as photos have them: a bond, two conditions of the ground, and a view."""
+    one = r.choice(["easy", "rect", "bond-half", "bond-third"])
+    two = r.choice(["clutter", "shadow", "wet", "moss", "noisy", "lens", "mixed"], 2, replace=False)
+    three = r.choice(["easy", "roll", "house", "small", "grazing", "nadir", "portrait"])
+    # A picture's size comes with another camera, through which a lens must see it.
+    for kind in (one, three, *two):
+        s = KINDS[str(kind)](s, r)
+    return s
+
+
 def _patternless(layout: str) -> Callable[[Scene, np.random.Generator], Scene]:
     def make(s: Scene, r: np.random.Generator) -> Scene:
         return replace(
@@ -215,6 +226,7 @@ KINDS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
         s, layout="herringbone", slab_m=(0.2, 0.1), half_size_m=5.0, joint_m=0.005
     ),
     "refuse-wall": _wall,
+    "compound": _compound,
 }
 
 
