@@ -19,6 +19,7 @@ from autoreg.conclude import (
 )
 from autoreg.cross_joints import common_lean
 from autoreg.errors import Refusal
+from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.full_resolution import REACH, Laid, measured_rows, measured_slabs
 from autoreg.geometry import Rigid
@@ -116,7 +117,7 @@ def _laid(
         Refusal: there is none, or it cannot be one of slabs on the ground.
     """
     height, width = picture.shape
-    found = find_paving(sight, camera, slab)
+    found = _found(sight, camera, slab)
     given = camera if source == "file" else None
     free = _freedom(camera, source, slab, width, height)
     try:
@@ -126,7 +127,7 @@ def _laid(
             raise
         # What is no lattice at the photo's own resolution, rows may have looked like.
         rows = find_rows(sight, camera)
-        if rows is None:
+        if rows is None or maybe_wall(rows.paving.fit) is not None:
             raise
         laid = _measured(sight, picture, rows, free, given, source, slab)
     wall = maybe_wall(laid.likeliest.fit, laid.likeliest.covariance)
@@ -137,6 +138,29 @@ def _laid(
     if off is not None:
         raise _other_camera(sight, given) or off
     return laid
+
+
+def _found(sight: Sight, camera: Camera | None, slab: tuple[float, float] | None) -> Paving | Rows:
+    """The paving at detection scale; if that may be a wall, the one on the ground before it.
+
+    Raises:
+        Refusal: there is none, or none that may not be a wall.
+    """
+    found = find_paving(sight, camera, slab)
+    wall = maybe_wall(_fit_of(found))
+    if wall is None:
+        return found
+    try:
+        before = find_paving(sight, camera, slab, walls=False)
+    except Refusal:
+        raise wall from None
+    if maybe_wall(_fit_of(before)) is not None:
+        raise wall
+    return before
+
+
+def _fit_of(found: Paving | Rows) -> Fit:
+    return (found.paving if isinstance(found, Rows) else found).fit
 
 
 def _measured(
@@ -157,9 +181,6 @@ def _measured(
     blamed = _other_camera(sight, given) if isinstance(found, Rows) else None
     if blamed is not None:
         raise blamed
-    wall = maybe_wall((found.paving if isinstance(found, Rows) else found).fit)
-    if wall is not None:
-        raise wall
     if isinstance(found, Rows):
         return measured_rows(sight, picture, found, free, square=source == "photo")
     return measured_slabs(sight.looks.picture, picture, found, free, slab)

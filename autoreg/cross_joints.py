@@ -24,6 +24,10 @@ ONE_JOINT = 0.15
 LEANING_RAD = np.radians(20.0)
 # Those that lean by less tell how their lean changes from row to row, as it does where they stand on arcs.
 FANNED_RAD = np.radians(35.0)
+# Cross joints stand in columns of the rows' width where their places have so much power at that period
+# (Scargle 1982: exponential where they have none, twice that where each joint is seen as two edges), and this
+# share of all they can have; the width may be so much off.
+COLUMNS_POWER, COLUMNS_SHARE, WIDTH_OFF = 25.0, 0.25, 0.03
 # Fewer cross joints than this do not tell their own scatter.
 FEWEST_JOINTS = 8
 # Standard deviation of normal values per median of their distances from their median, and that of a median
@@ -91,6 +95,19 @@ def find_cross_joints(
     # The chance of as many or more in a Poisson distribution; scipy.stats would take half a second to import.
     chance = float(gammainc(found, expected)) if found else 1.0
     return CrossJoints(ground[right].mean(1), float(-np.log(max(chance, 1e-87))))
+
+
+def in_columns(cross: CrossJoints, width: float) -> bool:
+    """Whether cross joints stand in common columns as far apart as the rows.
+
+    Those of rows follow no period. Those of herringbone do: its joints lie on a grid of squares either way.
+    """
+    place = cross.middle[:, 0] / width
+    n = len(place)
+    frequency = 1.0 + WIDTH_OFF * np.linspace(-1.0, 1.0, 31)
+    waves = np.exp(2j * np.pi * frequency[:, None] * place)
+    power = float((np.abs(waves.sum(1)) ** 2).max()) / max(n, 1)
+    return power > max(COLUMNS_POWER, COLUMNS_SHARE * n)
 
 
 def off_square(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], within_rad: float) -> OffSquare:

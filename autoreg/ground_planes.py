@@ -25,6 +25,8 @@ STEEP_RAD = np.radians(42.0)
 # Beyond this a plane seen steeply is taken for a wall if it is turned about a joint direction that is plumb
 # in the picture: a camera held level shows walls so.
 FRONTAL_RAD, PLUMB_RAD = np.radians(25.0), np.radians(2.5)
+# Hands hold cameras level to so much.
+LEVEL_RAD = np.radians(6.0)
 # The longest so many segments find the candidates; all of them score the survivors.
 VOTERS = 350
 # So many of another direction than the strongest one take part in any case.
@@ -87,6 +89,15 @@ def ground_planes_unknown_focal(
     focal_px = nominal_px * np.exp(found.fit.log_focal)
     scale = float(np.sqrt(SHARED_ERRORS))
     return tuple((_hypothesis(found, k, scale), float(focal_px[k])) for k in range(len(found.score)))
+
+
+def like_wall(R: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether a ground looks like a wall: its joints lie level in the picture, and it faces the camera.
+
+    Or its horizon lies below, as that of a wall does which the camera looks down on.
+    """
+    level = np.abs(R[0, :2]).min() < np.sin(LEVEL_RAD)
+    return bool(level and (-R[2, 2] > np.cos(FRONTAL_RAD) or R[1, 2] > 0))
 
 
 @dataclass(frozen=True)

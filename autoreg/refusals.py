@@ -13,7 +13,7 @@ from autoreg.camera import Camera
 from autoreg.cross_joints import Lean
 from autoreg.errors import Refusal
 from autoreg.fit import Fit
-from autoreg.ground_planes import FRONTAL_RAD, PLUMB_RAD
+from autoreg.ground_planes import FRONTAL_RAD, LEVEL_RAD
 from autoreg.lattice_choice import RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows import Rows
 
@@ -34,7 +34,7 @@ FEW_SIDES = 16
 # from level than the second, may be a wall's: the search for the ground cannot drop such a wall for its plumb
 # joints.
 FRONTAL_SIGMAS = 2.0
-FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(PLUMB_RAD))
+FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(LEVEL_RAD))
 _OTHER_CAMERA = (
     "the camera file belongs to another camera, zoom or picture size: check it with its calibration, "
     "or leave --camera out"
@@ -89,7 +89,8 @@ def ambiguous(best: Paving, other: Paving) -> Refusal:
 def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> Refusal | None:
     """The refusal of courses seen from the front, level in the picture: a brick wall as likely as a floor.
 
-    With the pose's covariance those that may as well be seen from the front are refused too.
+    With the pose's covariance those that may as well be seen from the front are refused too, and so is what
+    recedes downwards: the wall below the eye of somebody who looks down.
     """
     R = fit.cam_from_ground.R
     tilt = float(np.arccos(np.clip(-R[2, 2], -1.0, 1.0)))
@@ -101,8 +102,10 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
         tilt_deg -= FRONTAL_SIGMAS * float(np.rad2deg(sigma))
     skew_deg = float(np.rad2deg(np.arcsin(np.abs(R[0, :2]).min())))
     stack = fit.grid.spacing_x is not None and fit.grid.shift == 0.0
-    if stack or tilt_deg > FRONTAL_DEG or skew_deg > LEVEL_DEG:
+    if stack or skew_deg > LEVEL_DEG:
         return None
+    if tilt_deg > FRONTAL_DEG:
+        return _upside_down(R) if R[1, 2] > 0 else None
     return Refusal(
         "not_ground",
         f"these courses lie level in the picture and are seen from the front ({np.rad2deg(tilt):.0f} "
@@ -110,6 +113,18 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
         "the ground more from the side, or with the camera turned by some degrees",
         measured=round(skew_deg, 2),
         limit=LEVEL_DEG,
+    )
+
+
+def _upside_down(R: Float[np.ndarray, "3 3"]) -> Refusal:
+    """The refusal of joints that lie level and recede downwards."""
+    below_deg = float(np.rad2deg(np.arcsin(R[1, 2])))
+    return Refusal(
+        "not_ground",
+        f"these joints lie level and recede downwards ({below_deg:.0f} degrees), as those of a wall do that "
+        "the camera looks down on; turn the photo if it stands on its head, or photograph the ground",
+        measured=round(below_deg, 1),
+        limit=0.0,
     )
 
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.along_rows import along_rows
 from autoreg.bond import FALSE_ALARM_NATS
-from autoreg.cross_joints import CrossJoints, find_cross_joints
+from autoreg.cross_joints import CrossJoints, find_cross_joints, in_columns
 from autoreg.fit import Fit
 from autoreg.freedom import Free
 from autoreg.geometry import Rigid
@@ -101,7 +102,9 @@ def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int,
     if _interrupted(picture, fit, field):
         return None
     cross = find_cross_joints(segments, fit, field, size)
-    if len(cross.middle) == 0 or not _evenly_spaced(presence, field):
+    if len(cross.middle) == 0 or in_columns(cross, fit.grid.spacing_y) or not _evenly_spaced(presence, field):
+        return None
+    if along_rows(segments, fit, field, size).contradict:
         return None
     x, _ = line_evidence(presence, fit.grid)
     middle = np.median(cross.middle, axis=0)

@@ -12,7 +12,7 @@ from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.freedom import Free
 from autoreg.ground_frame import with_origin
-from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
+from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal, like_wall
 from autoreg.lattice_choice import Paving, rival, suited
 from autoreg.paving import CERTAIN_NATS, lay_bond, lay_combs, lay_lattice
 from autoreg.plane_combs import (
@@ -38,7 +38,11 @@ RADIAL_SIGMA = 0.1
 
 
 def find_paving(
-    sight: Sight, camera: Camera | None, slab: tuple[float, float] | None = None
+    sight: Sight,
+    camera: Camera | None,
+    slab: tuple[float, float] | None = None,
+    *,
+    walls: bool = True,
 ) -> Paving | Rows:
     """The lattice that explains the photo best, at detection scale; of those that suit the slab, if any do.
 
@@ -49,6 +53,7 @@ def find_paving(
         sight: what is seen of the photo.
         camera: its camera, or None to look for a focal length as well.
         slab: sides of a slab in either order, if known.
+        walls: whether grounds that look like a wall seen from the front are looked into as well.
 
     Raises:
         Refusal: none explains it better than chance.
@@ -66,11 +71,11 @@ def find_paving(
         return () if first is None else fitting((first,))
 
     if camera is not None:
-        plain = glanced(*_hypotheses(sight.detection.coarse, sight.size, camera))
+        plain = glanced(*_hypotheses(sight.detection.coarse, sight.size, camera, walls=walls))
         if _certain(plain):
             return _unrivalled(plain)
     segments = sight.segments
-    free, hypotheses = _hypotheses(segments, sight.size, camera)
+    free, hypotheses = _hypotheses(segments, sight.size, camera, walls=walls)
     best = glanced(free, hypotheses)
     if not _certain(best):
         ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
@@ -146,15 +151,17 @@ def _at_a_glance(looks: Looks, hypotheses: list[Hypothesis], free: Free) -> Pavi
 
 
 def _hypotheses(
-    segments: Segments, size: tuple[int, int], camera: Camera | None
+    segments: Segments, size: tuple[int, int], camera: Camera | None, *, walls: bool = True
 ) -> tuple[Free, list[Hypothesis]]:
     """Grounds that the segments suggest, and what else is solved for while they are looked into."""
     if camera is not None:
+        free = Free(ratio=True)
         found = [(camera, h.R) for h in ground_planes(segments, camera, max_hypotheses=HYPOTHESES)]
-        return Free(ratio=True), found
-    guessed = ground_planes_unknown_focal(segments, *size, max_hypotheses=HYPOTHESES_NO_FOCAL)
-    found = [(Camera.from_focal(*size, focal), h.R) for h, focal in guessed]
-    return Free(ratio=True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA), found
+    else:
+        free = Free(ratio=True, focal=True, radial=True, radial_sigma=RADIAL_SIGMA)
+        guessed = ground_planes_unknown_focal(segments, *size, max_hypotheses=HYPOTHESES_NO_FOCAL)
+        found = [(Camera.from_focal(*size, focal), h.R) for h, focal in guessed]
+    return free, [(own, R) for own, R in found if walls or not like_wall(R)]
 
 
 def _by_cross_joints(looks: Looks, rows: Rows, plane: PlaneCombs, free: Free) -> tuple[Paving, ...]:

@@ -80,7 +80,7 @@ def test_a_lattice_is_found_by_another_focal_length_than_that_of_the_segments(
 ):
     free, _ = search._hypotheses(sight.segments, sight.size, None)
     wrong = by_focal(sight, plane, 0.6 * plane.camera.fx)
-    monkeypatch.setattr(search, "_hypotheses", lambda *_: (free, [(wrong.camera, wrong.R)]))
+    monkeypatch.setattr(search, "_hypotheses", lambda *_, **__: (free, [(wrong.camera, wrong.R)]))
     # Neither are the joints lined up by the segments.
     monkeypatch.setattr(search, "comb_planes", lambda *_, **__: [wrong])
     found = search.find_paving(sight, None)

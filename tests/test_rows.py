@@ -109,7 +109,7 @@ def test_joints_that_break_off_regularly_are_herringbone_and_no_rows():
 def a_lattice_comes_first(stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch):
     """Whatever the photo, the search comes up with the lattice of another one."""
     other = find_paving(see(as_gray(stack_photo.pixels)), CAMERA)
-    monkeypatch.setattr("autoreg.align.find_paving", lambda *_: other)
+    monkeypatch.setattr("autoreg.align.find_paving", lambda *_, **__: other)
 
 
 @pytest.mark.usefixtures("a_lattice_comes_first")

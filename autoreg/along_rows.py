@@ -1,0 +1,62 @@
+"""Segments along the rows: whether those of the ground lie on the joints that the rows predict.
+
+Rows have no other joints in that direction. A corner of a field whose courses are uneven, or the soldier
+course beside herringbone, may suit an even spacing; the rest of the ground then says otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.fit import Fit
+from autoreg.segments import Segments
+from autoreg.stations import on_ground
+
+# Segments run along the rows within this angle, no farther off than so many camera heights.
+ALONG_RAD, REACH = np.radians(4.0), 12.0
+# They lie on a joint if their middles are no farther from it than this share of a row's width; a quarter of
+# those at any place do.
+ON_JOINT = 0.12
+# Shares of their length that lie on joints, in the field and on all of the ground, must be larger.
+LEAST_IN_FIELD, LEAST_OVERALL = 0.75, 0.42
+
+
+@dataclass(frozen=True)
+class AlongRows:
+    """Shares of the length, in pixels, of the segments along the rows that lie on the rows' joints."""
+
+    in_field: float
+    overall: float
+
+    @property
+    def contradict(self) -> bool:
+        """Whether they speak against these rows."""
+        return self.in_field < LEAST_IN_FIELD or self.overall < LEAST_OVERALL
+
+
+def along_rows(
+    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]
+) -> AlongRows:
+    """What the segments of the ground that run along the rows say of them; one where there are none.
+
+    `size` is the photo's width and height, in whose pixels the segments are.
+    """
+    ground = on_ground(segments.ends_px, fit.camera.scaled(*size), fit.cam_from_ground)
+    along, middle = ground[:, 1] - ground[:, 0], ground.mean(1)
+    eye = fit.cam_from_ground.origin_in_a
+    with np.errstate(invalid="ignore"):
+        near = np.linalg.norm(middle - eye[:2], axis=1) < REACH * eye[2]
+        chosen = near & (np.abs(along[:, 1]) < np.tan(ALONG_RAD) * np.abs(along[:, 0]))
+    middle, length = middle[chosen], segments.length_px[chosen]
+    row = middle[:, 1] / fit.grid.spacing_y
+    on_joint = np.abs(row - np.round(row)) < ON_JOINT
+    inside = ((middle > field.min(0)) & (middle < field.max(0))).all(1)
+    return AlongRows(_share(length, on_joint, inside), _share(length, on_joint, np.ones_like(inside)))
+
+
+def _share(length: np.ndarray, on_joint: np.ndarray, counted: np.ndarray) -> float:
+    whole = float(length[counted].sum())
+    return float(length[counted & on_joint].sum()) / whole if whole else 1.0

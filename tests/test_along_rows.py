@@ -1,0 +1,99 @@
+"""Segments along the rows speak against rows that only a part of the ground seems to have."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from autoreg.along_rows import along_rows
+from autoreg.cross_joints import CrossJoints, in_columns
+from autoreg.fit import Fit
+from autoreg.segments import Segments
+from autoreg.stations import Grid, project_ground
+
+WIDTH = 0.3
+FIELD = np.array([[-0.5, 1.0], [0.5, 1.0], [0.5, 2.0], [-0.5, 2.0]])
+
+
+@pytest.fixture(scope="module")
+def rows_fit(half_fit: Fit) -> Fit:
+    return replace(half_fit, grid=Grid(None, WIDTH))
+
+
+def segments_at(fit: Fit, place: np.ndarray, turn_rad: float = 0.0) -> Segments:
+    """Segments of 0.2 m with their middles at such places of the ground, turned from the rows."""
+    half = 0.1 * np.array([np.cos(turn_rad), np.sin(turn_rad)])
+    ends = place[:, None] + np.stack([-half, half])
+    px = project_ground(fit.camera, fit.cam_from_ground, ends)
+    seen = px[np.isfinite(px).all((1, 2))]
+    return Segments(seen, np.full(len(seen), 0.2), np.zeros(len(seen), int))
+
+
+def places(rng: np.random.Generator, low: list[float], high: list[float], count: int = 200) -> np.ndarray:
+    return rng.uniform(low, high, (count, 2))
+
+
+def on_joints(place: np.ndarray) -> np.ndarray:
+    return np.column_stack([place[:, 0], WIDTH * np.round(place[:, 1] / WIDTH)])
+
+
+def size_of(fit: Fit) -> tuple[int, int]:
+    return fit.camera.width, fit.camera.height
+
+
+def test_edges_of_the_rows_joints_speak_for_them(rows_fit: Fit):
+    rng = np.random.default_rng(0)
+    edges = on_joints(places(rng, [-2.0, 0.6], [2.0, 4.0])) + rng.choice([-0.01, 0.01], (200, 1)) * [0.0, 1.0]
+    said = along_rows(segments_at(rows_fit, edges), rows_fit, FIELD, size_of(rows_fit))
+    assert (said.in_field, said.overall) == (1.0, 1.0)
+    assert not said.contradict
+
+
+def test_courses_that_lie_elsewhere_in_the_field_speak_against_its_rows(rows_fit: Fit):
+    anywhere = places(np.random.default_rng(1), [-0.5, 1.0], [0.5, 2.0])
+    said = along_rows(segments_at(rows_fit, anywhere), rows_fit, FIELD, size_of(rows_fit))
+    assert said.in_field == pytest.approx(0.24, abs=0.1)
+    assert said.contradict
+
+
+def test_a_patch_of_even_courses_is_not_the_ground_if_most_of_that_has_others(rows_fit: Fit):
+    rng = np.random.default_rng(2)
+    patch = on_joints(places(rng, [-0.5, 1.0], [0.5, 2.0], 30))
+    beyond = places(rng, [-1.5, 2.0], [1.5, 5.0], 400)
+    said = along_rows(
+        segments_at(rows_fit, np.concatenate([patch, beyond])), rows_fit, FIELD, size_of(rows_fit)
+    )
+    assert said.in_field > 0.95
+    assert said.contradict
+
+
+def test_what_runs_another_way_says_nothing(rows_fit: Fit):
+    across = segments_at(rows_fit, places(np.random.default_rng(3), [-2.0, 0.6], [2.0, 4.0]), turn_rad=0.3)
+    assert not along_rows(across, rows_fit, FIELD, size_of(rows_fit)).contradict
+    nothing = across.take(np.zeros(0, dtype=int))
+    assert not along_rows(nothing, rows_fit, FIELD, size_of(rows_fit)).contradict
+
+
+def cross_joints(x: np.ndarray) -> CrossJoints:
+    """Both edges of joints at such places along their rows."""
+    edges = np.concatenate([x - 0.008, x + 0.008])
+    return CrossJoints(np.column_stack([edges, np.zeros(len(edges))]), 50.0)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.02])
+def test_the_joints_of_herringbone_stand_in_columns_of_its_slabs_width(jitter: float):
+    rng = np.random.default_rng(4)
+    x = 1.01 * WIDTH * rng.integers(-12, 12, 60) + jitter * rng.standard_normal(60)
+    assert in_columns(cross_joints(x), WIDTH)
+
+
+def test_the_cross_joints_of_rows_stand_in_no_columns():
+    rng = np.random.default_rng(5)
+    false_alarms = [in_columns(cross_joints(rng.uniform(-3.0, 3.0, n)), WIDTH) for n in range(4, 300)]
+    assert sum(false_alarms) == 0
+
+
+def test_a_bond_of_slabs_that_are_no_multiples_of_the_width_stands_in_no_columns():
+    row, column = np.divmod(np.arange(120), 12)
+    x = 1.37 * WIDTH * (column + 0.5 * (row % 2))
+    assert not in_columns(cross_joints(x), WIDTH)

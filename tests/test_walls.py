@@ -1,0 +1,99 @@
+"""Walls carry perfect lattices: the answer is the ground before them, or a refusal."""
+
+import cv2
+import numpy as np
+import pytest
+
+from autoreg.align import align
+from autoreg.camera import Camera
+from autoreg.errors import Refusal
+from autoreg.geometry import Rigid, angle_between_rotations
+from autoreg.ground_planes import like_wall
+from autoreg.synthetic import look_at_ground
+
+CAMERA = Camera.from_focal(960, 720, 900.0)
+PX_PER_M, SIZE_M = 150, 12.0
+SIDE_PX = int(SIZE_M * PX_PER_M)
+
+
+def stones(seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(150.0, 4.0, (SIDE_PX, SIDE_PX)).astype(np.float32)
+
+
+def bricks() -> np.ndarray:
+    """A running bond, from above or from the front."""
+    picture, length, height = stones(1) - 50.0, 54, 18
+    for course, y in enumerate(range(0, SIDE_PX, height)):
+        picture[y : y + 2] = 160.0
+        for x in range(course % 2 * length // 2, SIDE_PX, length):
+            picture[y : y + height, x : x + 2] = 160.0
+    return picture
+
+
+def ashlar() -> np.ndarray:
+    """Unbroken joints at an even spacing, slabs of random length between them."""
+    rng, picture, step = np.random.default_rng(2), stones(3), round(0.16 * PX_PER_M)
+    for y in range(0, SIDE_PX, step):
+        picture[y : y + 3] = 70.0
+        for x in np.cumsum(rng.uniform(0.9, 2.6, 60) * step).astype(int):
+            picture[y : y + step, x : x + 3] = 70.0
+    return picture
+
+
+def rolled(pitch_deg: float) -> Rigid:
+    """The pose of a camera that is not held quite level."""
+    return look_at_ground(pitch_deg=pitch_deg, height_m=1.6, heading_deg=3.0, roll_deg=4.0)
+
+
+def wall_beyond(ground: np.ndarray, wall: np.ndarray, pose: Rigid, wall_m: float) -> np.ndarray:
+    """A photo of ground with a wall across it, which is square to the view but for a few degrees."""
+    u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
+    rays = CAMERA.unproject(np.stack([u, v], -1).reshape(-1, 2).astype(float)) @ pose.R
+    eye = pose.origin_in_a
+    to_wall = eye + rays * (wall_m / rays[:, 1:2])
+    with np.errstate(divide="ignore"):
+        to_ground = eye - rays * (eye[2] / rays[:, 2:])
+    before = (rays[:, 2] < 0) & (to_ground[:, 1] < eye[1] + wall_m)
+    px = np.where(before[:, None], to_ground[:, :2], to_wall[:, [0, 2]])
+    at = (px * PX_PER_M + 0.5 * SIDE_PX).astype(np.float32).reshape(CAMERA.height, CAMERA.width, 2)
+    drawn = [
+        cv2.remap(cv2.GaussianBlur(each, (0, 0), 1.0), at, None, cv2.INTER_AREA, borderMode=cv2.BORDER_WRAP)
+        for each in (ground, wall)
+    ]
+    chosen = np.where(before.reshape(drawn[0].shape), *drawn)
+    noise = np.random.default_rng(4).normal(0.0, 1.5, chosen.shape)
+    return np.clip(np.rint(cv2.GaussianBlur(chosen, (0, 0), 0.6) + noise), 0, 255).astype(np.uint8)
+
+
+def test_a_wall_behind_bare_ground_is_refused_though_the_camera_was_rolled():
+    with pytest.raises(Refusal) as refused:
+        align(wall_beyond(stones(), bricks(), rolled(18.0), 3.4), None)
+    assert refused.value.code == "not_ground"
+
+
+@pytest.mark.parametrize("camera", [CAMERA, None], ids=["camera", "no camera"])
+def test_a_wall_that_the_camera_looks_down_on_is_no_floor_seen_upside_down(camera: Camera | None):
+    photo = wall_beyond(stones(), bricks(), rolled(32.0), 3.0)
+    with pytest.raises(Refusal):
+        align(photo, camera)
+    # Turned by half, it is a floor's.
+    assert align(photo[::-1, ::-1].copy(), camera).lattice.kind == "running"
+
+
+def test_the_ground_before_a_wall_is_found_where_the_wall_is_plainer():
+    pose = rolled(22.0)
+    found = align(wall_beyond(ashlar(), bricks(), pose, 4.2), CAMERA)
+    assert found.lattice.kind == "rows"
+    turn = min(
+        np.rad2deg(angle_between_rotations(found.pose.cam_from_ground.R @ np.diag([s, s, 1.0]), pose.R))
+        for s in (1.0, -1.0)
+    )
+    assert turn < 0.3
+
+
+@pytest.mark.parametrize(
+    ("pitch", "heading", "expected"),
+    [(88.0, 0.0, True), (75.0, 95.0, True), (75.0, 20.0, False), (50.0, 0.0, False)],
+)
+def test_grounds_seen_from_the_front_and_level_look_like_walls(pitch: float, heading: float, expected: bool):
+    assert like_wall(look_at_ground(pitch_deg=pitch, height_m=1.6, heading_deg=heading).R) == expected
