@@ -15,13 +15,15 @@ from autoreg.fit import Fit
 from autoreg.segments import Segments
 from autoreg.stations import on_ground
 
-# Segments run along the rows within this angle, no farther off than so many camera heights.
-ALONG_RAD, REACH = np.radians(4.0), 12.0
+# Segments run along the rows within this angle.
+ALONG_RAD = np.radians(4.0)
+# The ground around a field reaches so many of its sizes to either side: a wall far beyond it has no say.
+AROUND = 1.0
 # They lie on a joint if their middles are no farther from it than this share of a row's width; a quarter of
 # those at any place do.
 ON_JOINT = 0.12
-# Shares of their length that lie on joints, in the field and on all of the ground, must be larger.
-LEAST_IN_FIELD, LEAST_OVERALL = 0.75, 0.42
+# Shares of their length that lie on joints, in the field and with all that is around it, must be larger.
+LEAST_IN_FIELD, LEAST_AROUND = 0.75, 0.5
 
 
 @dataclass(frozen=True)
@@ -29,12 +31,12 @@ class AlongRows:
     """Shares of the length, in pixels, of the segments along the rows that lie on the rows' joints."""
 
     in_field: float
-    overall: float
+    around: float
 
     @property
     def contradict(self) -> bool:
         """Whether they speak against these rows."""
-        return self.in_field < LEAST_IN_FIELD or self.overall < LEAST_OVERALL
+        return self.in_field < LEAST_IN_FIELD or self.around < LEAST_AROUND
 
 
 def along_rows(
@@ -46,15 +48,16 @@ def along_rows(
     """
     ground = on_ground(segments.ends_px, fit.camera.scaled(*size), fit.cam_from_ground)
     along, middle = ground[:, 1] - ground[:, 0], ground.mean(1)
-    eye = fit.cam_from_ground.origin_in_a
     with np.errstate(invalid="ignore"):
-        near = np.linalg.norm(middle - eye[:2], axis=1) < REACH * eye[2]
-        chosen = near & (np.abs(along[:, 1]) < np.tan(ALONG_RAD) * np.abs(along[:, 0]))
+        chosen = np.abs(along[:, 1]) < np.tan(ALONG_RAD) * np.abs(along[:, 0])
     middle, length = middle[chosen], segments.length_px[chosen]
     row = middle[:, 1] / fit.grid.spacing_y
     on_joint = np.abs(row - np.round(row)) < ON_JOINT
-    inside = ((middle > field.min(0)) & (middle < field.max(0))).all(1)
-    return AlongRows(_share(length, on_joint, inside), _share(length, on_joint, np.ones_like(inside)))
+    low, high = field.min(0), field.max(0)
+    margin = AROUND * (high - low)
+    inside = ((middle > low) & (middle < high)).all(1)
+    around = ((middle > low - margin) & (middle < high + margin)).all(1)
+    return AlongRows(_share(length, on_joint, inside), _share(length, on_joint, around))
 
 
 def _share(length: np.ndarray, on_joint: np.ndarray, counted: np.ndarray) -> float:

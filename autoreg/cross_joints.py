@@ -24,10 +24,12 @@ ONE_JOINT = 0.15
 LEANING_RAD = np.radians(20.0)
 # Those that lean by less tell how their lean changes from row to row, as it does where they stand on arcs.
 FANNED_RAD = np.radians(35.0)
-# Cross joints stand in columns of the rows' width where their places have so much power at that period
-# (Scargle 1982: exponential where they have none, twice that where each joint is seen as two edges), and this
-# share of all they can have; the width may be so much off.
-COLUMNS_POWER, COLUMNS_SHARE, WIDTH_OFF = 25.0, 0.25, 0.03
+# Cross joints stand in columns about as far apart as the rows, or in some that move on evenly from row to
+# row, where their places have so much power at such a period (Scargle 1982: exponential where they have none,
+# twice that where each joint is seen as two edges), and this share of all they can have. A focal length that
+# is not known yet leaves it open how far apart columns of the rows' width are seen.
+COLUMNS_POWER, COLUMNS_SHARE = 30.0, 0.4
+COLUMNS_PER_WIDTH, MOVES = np.linspace(0.7, 1.4, 141), np.arange(32) / 32
 # Fewer cross joints than this do not tell their own scatter.
 FEWEST_JOINTS = 8
 # Standard deviation of normal values per median of their distances from their median, and that of a median
@@ -98,15 +100,18 @@ def find_cross_joints(
 
 
 def in_columns(cross: CrossJoints, width: float) -> bool:
-    """Whether cross joints stand in common columns as far apart as the rows.
+    """Whether cross joints stand in common columns about as far apart as the rows.
 
     Those of rows follow no period. Those of herringbone do: its joints lie on a grid of squares either way.
     """
-    place = cross.middle[:, 0] / width
-    n = len(place)
-    frequency = 1.0 + WIDTH_OFF * np.linspace(-1.0, 1.0, 31)
-    waves = np.exp(2j * np.pi * frequency[:, None] * place)
-    power = float((np.abs(waves.sum(1)) ** 2).max()) / max(n, 1)
+    n = len(cross.middle)
+    if n <= COLUMNS_POWER:
+        return False
+    place, row = cross.middle[:, 0] / width, np.floor(cross.middle[:, 1] / width)
+    along, across = (
+        np.exp(2j * np.pi * np.outer(*pair)) for pair in ((COLUMNS_PER_WIDTH, place), (MOVES, row))
+    )
+    power = float((np.abs(along @ across.T) ** 2).max()) / n
     return power > max(COLUMNS_POWER, COLUMNS_SHARE * n)
 
 
