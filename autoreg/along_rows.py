@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from autoreg.fit import Fit
 from autoreg.segments import Segments
-from autoreg.stations import on_ground
+from autoreg.stations import inside_box, on_ground
 
 # Segments run along the rows within this angle.
 ALONG_RAD = np.radians(4.0)
@@ -53,10 +53,7 @@ def along_rows(
     middle, length = middle[chosen], segments.length_px[chosen]
     row = middle[:, 1] / fit.grid.spacing_y
     on_joint = np.abs(row - np.round(row)) < ON_JOINT
-    low, high = field.min(0), field.max(0)
-    margin = AROUND * (high - low)
-    inside = ((middle > low) & (middle < high)).all(1)
-    around = ((middle > low - margin) & (middle < high + margin)).all(1)
+    inside, around = (inside_box(middle, field, margin) for margin in (0.0, AROUND))
     return AlongRows(_share(length, on_joint, inside), _share(length, on_joint, around))
 
 

@@ -11,7 +11,7 @@ from scipy.special import gammainc
 from autoreg.camera import Camera
 from autoreg.fit import Fit
 from autoreg.segments import Segments
-from autoreg.stations import on_ground
+from autoreg.stations import inside_box, on_ground
 
 # Cross joints lie this close to the right angle; segments that lie this far from either direction show how
 # many would by chance.
@@ -189,8 +189,7 @@ def _in_field(
     ground = on_ground(segments.ends_px, camera, fit.cam_from_ground)
     middle = ground.mean(1)
     length = np.linalg.norm(ground[:, 1] - ground[:, 0], axis=1) / fit.grid.spacing_y
-    inside = ((middle > field.min(0)) & (middle < field.max(0))).all(1)
-    index = np.flatnonzero(inside & (length > SHORTEST) & (length < LONGEST))
+    index = np.flatnonzero(inside_box(middle, field) & (length > SHORTEST) & (length < LONGEST))
     return index, ground[index]
 
 

@@ -203,6 +203,15 @@ def inside_convex(
     return (distance > -margin).all(1)
 
 
+def inside_box(
+    points: Float[np.ndarray, "n 2"], polygon: Float[np.ndarray, "k 2"], margin: float = 0.0
+) -> np.ndarray:
+    """Which points lie in the box around a polygon, along the axes, or within so many of its sizes of it."""
+    low, high = polygon.min(0), polygon.max(0)
+    widened = margin * (high - low)
+    return ((points > low - widened) & (points < high + widened)).all(1)
+
+
 def _clipped(
     sides: Sides,
     px: Float[np.ndarray, "n 2 2"],
