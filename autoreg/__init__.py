@@ -1,7 +1,7 @@
 """Align a camera to photographed paving, so that a computer-generated object can stand on it.
 
-`autoreg.align(photo, camera, slab=(0.6, 0.4))` is the library's one call. Names are loaded when they
-are first used: `import autoreg` costs nothing and does not import JAX.
+`autoreg.align(photo, camera, slab=(0.6, 0.4))` is the library's one call; docs/library.md has its stages.
+Names are loaded when they are first used: `import autoreg` costs nothing and does not import JAX.
 """
 
 from __future__ import annotations
@@ -18,12 +18,16 @@ if TYPE_CHECKING:
     from autoreg.calibration.pipeline import calibrate as calibrate
     from autoreg.calibration.result import Calibration as Calibration
     from autoreg.camera import Camera as Camera
+    from autoreg.camera_files import read_camera as read_camera
     from autoreg.errors import AutoregError as AutoregError
     from autoreg.errors import InputError as InputError
     from autoreg.errors import Refusal as Refusal
     from autoreg.errors import RenderError as RenderError
     from autoreg.geometry import Rigid as Rigid
+    from autoreg.image import load_photo as load_photo
     from autoreg.lattice import Lattice as Lattice
+    from autoreg.segments import detect_segments as detect_segments
+    from autoreg.vanishing import manhattan_frame as manhattan_frame
 
     __version__: str
 
@@ -39,6 +43,10 @@ _HOMES = {
     "RenderError": "autoreg.errors",
     "Rigid": "autoreg.geometry",
     "Lattice": "autoreg.lattice",
+    "detect_segments": "autoreg.segments",
+    "load_photo": "autoreg.image",
+    "manhattan_frame": "autoreg.vanishing",
+    "read_camera": "autoreg.camera_files",
 }
 
 __all__ = [*_HOMES, "__version__", "align"]  # pyright: ignore[reportUnsupportedDunderAll]

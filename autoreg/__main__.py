@@ -38,7 +38,7 @@ def program() -> None:
     # Alignment and calibration hold BLAS to one thread (blas_threads.py); here no others need be started.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.modules.setdefault("jaxtyping", _Shapes("jaxtyping"))
-    from autoreg.cli import main
+    from autoreg.command.cli import main
 
     try:
         main()

@@ -8,30 +8,30 @@ from typing import Literal
 import numpy as np
 
 from autoreg.alignment import Alignment, CameraReport, JointFit, Pose, Residual
-from autoreg.blas_threads import one_blas_thread
-from autoreg.camera import Camera
-from autoreg.conclude import (
+from autoreg.answer.conclude import (
     canonical_frame,
     describe_lattice,
     fitted_joints,
     measure_residual,
     metric_scale,
 )
-from autoreg.cross_joints import common_lean
+from autoreg.answer.full_resolution import REACH, Laid, measured_rows, measured_slabs
+from autoreg.answer.last_step import rested
+from autoreg.answer.refusals import focal_untold, leaning, maybe_wall
+from autoreg.blas_threads import one_blas_thread
+from autoreg.camera import Camera
 from autoreg.errors import Refusal
-from autoreg.fit import Fit
-from autoreg.freedom import Free
-from autoreg.full_resolution import REACH, Laid, measured_rows, measured_slabs
+from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
+from autoreg.ground.sight import Sight, see
 from autoreg.image import as_gray
-from autoreg.last_step import rested
-from autoreg.lattice_choice import Paving
-from autoreg.refusals import focal_untold, leaning, maybe_wall
-from autoreg.rows import Rows
+from autoreg.paving.lattice_choice import Paving
+from autoreg.rows.cross_joints import common_lean
+from autoreg.rows.rows import Rows
 from autoreg.search import RADIAL_SIGMA, find_paving, find_rows, other_camera
-from autoreg.sight import Sight, see
-from autoreg.solver import warm_up
-from autoreg.uncertainty import check_camera
+from autoreg.slabs.uncertainty import check_camera
+from autoreg.solve.freedom import Free
+from autoreg.solve.solver import warm_up
 
 __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align", "warm_up"]
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from autoreg.camera import Camera
-from autoreg.camera_formats import FORMATS, parse_camera
 from autoreg.errors import InputError
+from autoreg.formats.camera_formats import FORMATS, parse_camera
 
 # A camera file of any of the formats is a few kilobytes; more is a picture or a log given by mistake.
 _MAX_BYTES = 4_000_000

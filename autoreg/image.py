@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from autoreg.errors import InputError
-from autoreg.exif import focal_from_exif, read_exif, truncated
+from autoreg.formats.exif import focal_from_exif, read_exif, truncated
 
 MIN_SIDE_PX = 64
 _FORMATS = "JPEG, PNG, TIFF or WebP"

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from autoreg.bond import bond_of_places
+from autoreg.answer.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
-from autoreg.freedom import Free
-from autoreg.ground_frame import with_origin
-from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal, like_wall
-from autoreg.lattice_choice import Paving, rival, suited
-from autoreg.paving import CERTAIN_NATS, lay_bond, lay_combs, lay_lattice
-from autoreg.plane_combs import (
+from autoreg.ground.ground_frame import with_origin
+from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal, like_wall
+from autoreg.ground.sight import Looks, Sight
+from autoreg.paving.bond import bond_of_places
+from autoreg.paving.lattice_choice import Paving, rival, suited
+from autoreg.paving.lay import CERTAIN_NATS, lay_bond, lay_combs, lay_lattice
+from autoreg.paving.plane_combs import (
     PROMISING_NATS,
     Hypothesis,
     PlaneCombs,
@@ -23,10 +24,9 @@ from autoreg.plane_combs import (
     promising_plane,
     with_other_focals,
 )
-from autoreg.refusals import ambiguous, camera_contradicted, no_lattice
-from autoreg.rows import Rows, lay_rows
+from autoreg.rows.rows import Rows, lay_rows
 from autoreg.segments import Segments
-from autoreg.sight import Looks, Sight
+from autoreg.solve.freedom import Free
 
 # Ground hypotheses that are taken from the segments, with a camera and without, and how many of them are
 # looked into, those with the clearest joints first.

@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
-from autoreg.directions import SegmentRays, camera_rays, single_directions
 from autoreg.errors import Refusal
-from autoreg.frames import FrameFit, fit_step, frames_through, image_dirs, memberships
+from autoreg.ground.directions import SegmentRays, camera_rays, single_directions
+from autoreg.ground.frames import FrameFit, fit_step, frames_through, image_dirs, memberships
 from autoreg.segments import Segments
 
 # The longest so many segments vote, and each two of the longest so many name a direction.

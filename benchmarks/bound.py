@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.stations import project_ground
+from autoreg.ground.points import project_ground
 from autoreg.synthetic import SyntheticScene, clean_grey
 from benchmarks.last_stage import moved
 

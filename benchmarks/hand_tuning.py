@@ -22,10 +22,10 @@ from scipy.optimize import minimize, minimize_scalar
 
 from autoreg.alignment import Alignment
 from autoreg.camera import Camera
-from autoreg.job import Job, Listener, run_job
+from autoreg.jobs.job import Job, Listener, run_job
+from autoreg.jobs.render_job import Wish, make_plan, read_wish
 from autoreg.lattice import Lattice
 from autoreg.layout import lay_joints
-from autoreg.render_job import Wish, make_plan, read_wish
 from autoreg.rendering.check import check_render
 from autoreg.rendering.render import choose_engine
 from autoreg.synthetic import look_at_ground

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.answer.full_resolution import REACH, from_what_shows
+from autoreg.answer.last_step import likeliest, rested
 from autoreg.camera import Camera
-from autoreg.fit import Fit
-from autoreg.freedom import Free
-from autoreg.full_resolution import REACH, from_what_shows
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import NARROW, refine_until_still
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
-from autoreg.last_step import likeliest, rested
-from autoreg.refine import NARROW, refine_until_still
-from autoreg.stations import Grid, on_ground, project_ground
+from autoreg.ground.points import on_ground, project_ground
+from autoreg.ground.sides import Grid
+from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticScene
 
 

@@ -16,9 +16,9 @@ from scipy.optimize import least_squares
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid, rotation_from_vector
-from autoreg.joint_data import JointData
-from autoreg.solver import CAUCHY_SIGMAS
-from autoreg.stations import project_ground
+from autoreg.ground.points import project_ground
+from autoreg.solve.joint_data import JointData
+from autoreg.solve.solver import CAUCHY_SIGMAS
 from autoreg.synthetic import SyntheticScene
 
 # How far an edge is looked for in each round of matching, in pixels; and the scale of the Cauchy loss. LSD

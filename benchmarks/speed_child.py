@@ -84,7 +84,7 @@ def _timed(call: Callable[..., Any], name: str, spent: dict[str, float]) -> Call
 
 def many(folder: str, out: str) -> dict[str, Any]:
     """Seconds for every photo of a folder in this one process, two at a time."""
-    from autoreg.job import Job, Listener, run_job
+    from autoreg.jobs.job import Job, Listener, run_job
 
     listener = Listener(note=lambda text: None, doing=lambda text: None)
     photos = sorted(Path(folder).glob("*.jpg"))
@@ -98,7 +98,7 @@ def many(folder: str, out: str) -> dict[str, Any]:
 
 def solver(cache: str) -> dict[str, Any]:
     """Seconds until the solver's step is compiled, or fetched from the cache in that folder."""
-    from autoreg import solver as compiled
+    from autoreg.solve import solver as compiled
 
     began = time.perf_counter()
     compiled.warm_up(Path(cache))

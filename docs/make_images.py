@@ -11,8 +11,8 @@ from pathlib import Path
 
 import cv2
 
-from autoreg.job import Listener, demo_job, run_job
-from autoreg.render_job import RenderJob, Wish, run_render
+from autoreg.jobs.job import Listener, demo_job, run_job
+from autoreg.jobs.render_job import RenderJob, Wish, run_render
 from autoreg.rendering.render import EngineName
 
 WIDTH = 1200

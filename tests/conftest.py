@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from paved import CHECKER, GRAVEL, HALF_BOND, STACK, fit_of
 
-from autoreg.fit import Fit
-from autoreg.rectify import Rectified, picture_gradient, rectify
+from autoreg.fitting.fit import Fit
+from autoreg.ground.rectify import Rectified, picture_gradient, rectify
 from autoreg.synthetic import SyntheticPhoto, render_paving
 
 

@@ -10,8 +10,8 @@ from handmade import looking
 
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
-from autoreg.joint_data import JointData
-from autoreg.solver import CAUCHY_SIGMAS, solve_joints
+from autoreg.solve.joint_data import JointData
+from autoreg.solve.solver import CAUCHY_SIGMAS, solve_joints
 
 CAMERA = Camera(1600, 1200, 1300.0, 1290.0, 810.0, 590.0, (-0.12, 0.04, 0.0005, -0.0004))
 TRUTH = looking([-0.4, -3.0, 1.6], [0.1, 0.6, 0.0], 0.04)

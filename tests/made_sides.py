@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from autoreg.presence import Presence
-from autoreg.stations import Grid, Sides, slab_sides
+from autoreg.ground.sides import Grid, Sides, slab_sides
+from autoreg.paving.presence import Presence
 
 
 def presence_with(

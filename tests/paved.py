@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from autoreg.camera import Camera
-from autoreg.fit import Fit
-from autoreg.freedom import Free
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine
 from autoreg.geometry import Rigid, angle_between_rotations, rotation_from_vector
-from autoreg.refine import refine
-from autoreg.stations import Grid
+from autoreg.ground.sides import Grid
+from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground
 
 CAMERA = Camera(640, 480, 560.0, 562.0, 316.0, 242.0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import jax
 from jaxtyping import Array, Float
 
-from autoreg.joint_data import JointData
-from autoreg.residuals import joint_distance, moved_projection
+from autoreg.solve.joint_data import JointData
+from autoreg.solve.residuals import joint_distance, moved_projection
 
 
 def joint_distances(parameters: Float[Array, " p"], data: JointData) -> Float[Array, " n"]:

@@ -8,11 +8,12 @@ import numpy as np
 from drawn_joints import PLAIN
 from paved import POSE_ALONE, gray_of
 
-from autoreg.bare_steps import across_slope
-from autoreg.fit import Fit
-from autoreg.joint_looks import Strip
-from autoreg.refine import refine_until_still
-from autoreg.stations import ALONG_X, Grid, project_ground
+from autoreg.fitting.bare_steps import across_slope
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine_until_still
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import ALONG_X, Grid
+from autoreg.joints.joint_looks import Strip
 from autoreg.synthetic import SyntheticScene, render_paving
 
 # The sun stands behind the camera and lights the walls that it faces; joints along Y run along the view.

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autoreg.along_rows import along_rows
-from autoreg.cross_joints import CrossJoints, in_columns
-from autoreg.fit import Fit
+from autoreg.fitting.fit import Fit
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import Grid
+from autoreg.rows.along_rows import along_rows
+from autoreg.rows.cross_joints import CrossJoints, in_columns
 from autoreg.segments import Segments
-from autoreg.stations import Grid, project_ground
 
 WIDTH = 0.3
 FIELD = np.array([[-0.5, 1.0], [0.5, 1.0], [0.5, 2.0], [-0.5, 2.0]])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of
 
-from autoreg.arcs import FEWEST_STATIONS, Arc, common_arc
-from autoreg.fit import Fit
-from autoreg.refusals import MOST_ARC_DEG, SURE_SIGMAS, arcs
-from autoreg.stations import ALONG_X, ALONG_Y
+from autoreg.answer.refusals import MOST_ARC_DEG, SURE_SIGMAS, arcs
+from autoreg.fitting.fit import Fit
+from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.rows.arcs import FEWEST_STATIONS, Arc, common_arc
 from autoreg.synthetic import render_paving
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from sunk_joints import SUNK, fit_of, nearer
 
-from autoreg.bare_steps import from_near_rims, only_steps, without_joints
-from autoreg.stations import ALONG_X
+from autoreg.fitting.bare_steps import from_near_rims, only_steps, without_joints
+from autoreg.ground.sides import ALONG_X
 from autoreg.synthetic import look_at_ground
 
 WIDTH, REACH = 0.012, 6.0

@@ -5,9 +5,9 @@ import pytest
 from handmade_joints import SIGMA_PX, Start, problem
 from test_solver import sigmas_apart
 
-from autoreg.batch_solver import solve_batch
-from autoreg.joint_data import FOCAL, PARAMETERS, RATIO
-from autoreg.solver import Prior, solve_joints
+from autoreg.solve.batch_solver import solve_batch
+from autoreg.solve.joint_data import FOCAL, PARAMETERS, RATIO
+from autoreg.solve.solver import Prior, solve_joints
 
 # Two problems of 113 to 128 joints with these eight free: what is compiled for one test serves all.
 FREE = np.r_[np.ones(8), np.zeros(PARAMETERS - 8)]

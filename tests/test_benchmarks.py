@@ -18,8 +18,8 @@ from rich.console import Console
 from autoreg.alignment import Alignment, CameraReport, Pose, Residual
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
+from autoreg.ground.points import on_ground, project_ground
 from autoreg.lattice import Lattice
-from autoreg.stations import on_ground, project_ground
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground, render_paving
 from benchmarks import __main__ as command
 from benchmarks import metrics

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 from paved import GRAVEL, HALF_BOND, STACK, THIRD_BOND
 
-from autoreg.bond import BondHypothesis, Courses, best_bonds, bond_hypotheses, bond_of_places, course_support
-from autoreg.periods import PHASES, Comb
-from autoreg.rectify import near_reach, picture_gradient, rectify
+from autoreg.ground.rectify import near_reach, picture_gradient, rectify
+from autoreg.paving.bond import (
+    BondHypothesis,
+    Courses,
+    best_bonds,
+    bond_hypotheses,
+    bond_of_places,
+    course_support,
+)
+from autoreg.paving.periods import PHASES, Comb
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, render_paving
 
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -12,7 +12,7 @@ from autoreg.calibration.board import Board
 from autoreg.calibration.printing import black_rectangles, print_board, sheet_for
 from autoreg.calibration.synthetic import BoardScene, render_board
 from autoreg.camera_files import read_camera
-from autoreg.cli import app
+from autoreg.command.cli import app
 from autoreg.errors import InputError
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"

@@ -20,7 +20,7 @@ from autoreg.calibration.record import camera_record, opencv_yaml, ros_yaml, wri
 from autoreg.calibration.synthetic import BoardScene, bent_points, render_board
 from autoreg.camera_files import distrust, read_camera, read_camera_record
 from autoreg.errors import InputError, Refusal
-from autoreg.exif import Exif
+from autoreg.formats.exif import Exif
 
 W, H = CAMERA.width, CAMERA.height
 SHARED = Path(__file__).parents[2] / "shared" / "chessboards"

@@ -14,11 +14,12 @@ from handmade import CAMERA, RUNNING, alignment, distorted, photo_for
 from typer.testing import CliRunner
 
 import autoreg.align
-from autoreg import job, render_job, solver
-from autoreg.cli import app
+from autoreg.command.cli import app
 from autoreg.errors import InputError, Refusal
-from autoreg.outputs import write_whole
+from autoreg.jobs import job, render_job
+from autoreg.jobs.outputs import write_whole
 from autoreg.rendering import render as rendering
+from autoreg.solve import solver
 
 ALWAYS = {"alignment.json", "overlay.png", "scene.pov", "scene-photo.png"}
 
@@ -261,7 +262,7 @@ def test_the_module_runs_as_the_command_and_a_users_mistake_shows_no_traceback(t
         capture_output=True,
         text=True,
         check=False,
-        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[1])},
+        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[2])},
     )
     assert done.returncode == 2
     assert "no such photo.jpg" in done.stderr
@@ -272,13 +273,13 @@ def test_the_module_runs_as_the_command_and_a_users_mistake_shows_no_traceback(t
 def test_a_process_that_ends_early_waits_for_what_it_began_to_compile(tmp_path):
     cv2.imwrite(str(tmp_path / "photo.png"), np.full((300, 400), 90, np.uint8))
     code = (
-        "import sys, threading, time, autoreg.job, autoreg.solver\n"
-        "begun, see = threading.Event(), autoreg.job.see\n"
-        "solver = autoreg.solver\n"
+        "import sys, threading, time, autoreg.jobs.job, autoreg.solve.solver\n"
+        "begun, see = threading.Event(), autoreg.jobs.job.see\n"
+        "solver = autoreg.solve.solver\n"
         "solver.warm_up = lambda folder: (begun.set(), time.sleep(1.5), print('compiled', flush=True))\n"
         # The photo is refused while the other thread compiles, however fast it is looked at.
-        "autoreg.job.see = lambda picture: (begun.wait(30), see(picture))[1]\n"
-        "from autoreg.cli import main\n"
+        "autoreg.jobs.job.see = lambda picture: (begun.wait(30), see(picture))[1]\n"
+        "from autoreg.command.cli import main\n"
         "sys.argv = ['autoreg', 'align', 'photo.png']\n"
         "main()\n"
     )
@@ -288,7 +289,7 @@ def test_a_process_that_ends_early_waits_for_what_it_began_to_compile(tmp_path):
         capture_output=True,
         text=True,
         timeout=60,
-        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[1])},
+        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[2])},
     )
     assert done.returncode == 3
     assert done.stdout.splitlines()[-1] == "compiled"
@@ -309,12 +310,12 @@ def test_a_real_interrupt_ends_the_process_with_130(tmp_path):
     rng = np.random.default_rng(0)
     cv2.imwrite(str(tmp_path / "photo.png"), rng.integers(0, 255, (900, 1200)).astype(np.uint8))
     code = (
-        "import signal, sys, time, autoreg.job\n"
+        "import signal, sys, time, autoreg.jobs.job\n"
         # A shell's background jobs ignore it from the start.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "autoreg.job._warm_up = lambda ended: None\n"
-        "autoreg.job.load_photo = lambda path: (print('begun', flush=True), time.sleep(60))\n"
-        "from autoreg.cli import main\n"
+        "autoreg.jobs.job._warm_up = lambda ended: None\n"
+        "autoreg.jobs.job.load_photo = lambda path: (print('begun', flush=True), time.sleep(60))\n"
+        "from autoreg.command.cli import main\n"
         "sys.argv = ['autoreg', 'align', 'photo.png']\n"
         "main()\n"
     )
@@ -324,7 +325,7 @@ def test_a_real_interrupt_ends_the_process_with_130(tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[1])},
+        env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[2])},
     )
     assert process.stdout.readline() == "begun\n"
     time.sleep(0.1)

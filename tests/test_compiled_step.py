@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from autoreg import compiled_step, machine_code
-from autoreg.bare_code import bare_form, from_bare_form
-from autoreg.jax_code import from_jax_form, jax_form, on_arrays
-from autoreg.lm_step import compiled_with_jax
-from autoreg.step_state import blank_state, example_arguments
+from autoreg.solve import compiled_step, machine_code
+from autoreg.solve.bare_code import bare_form, from_bare_form
+from autoreg.solve.jax_code import from_jax_form, jax_form, on_arrays
+from autoreg.solve.lm_step import compiled_with_jax
+from autoreg.solve.step_state import blank_state, example_arguments
 
 ROOT = Path(__file__).parents[1]
 
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 SOLVES = """
 import sys; sys.path.insert(0, 'tests')
 from pathlib import Path
-from autoreg import solver
+from autoreg.solve import solver
 {first}
 solver.warm_up(Path(sys.argv[1]))
 print('compiled' if 'jaxopt' in sys.modules else 'jax' if 'jax' in sys.modules else 'bare')
@@ -73,7 +73,7 @@ def test_jax_works_as_ever_where_it_is_imported_after_the_step_was_run_without_i
     then = """
 import jax, jax.numpy as jnp
 import numpy as np
-from autoreg import compiled_step, jax_code, lm_step
+from autoreg.solve import compiled_step, jax_code, lm_step
 compiled_step._STEP[:] = [jax_code.on_arrays(lm_step.compiled_with_jax())]
 print(handmade_joints.solved())
 # Constants that jax hands over in types of its own.
@@ -99,7 +99,7 @@ def test_where_jax_is_imported_already_its_own_form_is_fetched(kept):
 )
 def test_jax_stands_in_where_jaxlib_is_not_as_it_was(kept, broken):
     bare, _, solved = kept
-    first = f"from autoreg import bare_code; bare_code.{broken}"
+    first = f"from autoreg.solve import bare_code; bare_code.{broken}"
     assert in_a_process(bare.parent, first) == ["jax", solved]
 
 
@@ -206,7 +206,7 @@ def test_code_of_other_releases_settings_and_sources_has_another_name(
 
 def test_the_name_needs_no_jax():
     code = (
-        "import sys; from autoreg import compiled_step as c, machine_code as m;"
+        "import sys; from autoreg.solve import compiled_step as c, machine_code as m;"
         "print(m.fingerprint(*c.SOURCES, packages=c.PACKAGES), 'jax' in sys.modules)"
     )
     done = subprocess.run(

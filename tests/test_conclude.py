@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paved import HALF_BOND, STACK, gray_of, symmetric_poses
 
-from autoreg.conclude import (
+from autoreg.answer.conclude import (
     Frame,
     canonical_frame,
     describe_lattice,
@@ -19,11 +19,12 @@ from autoreg.conclude import (
     with_slab_ratio,
 )
 from autoreg.errors import Refusal
-from autoreg.fit import Fit
+from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
-from autoreg.ground_frame import with_origin
-from autoreg.presence import Presence, side_presence
-from autoreg.stations import Grid, project_ground
+from autoreg.ground.ground_frame import with_origin
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import Grid
+from autoreg.paving.presence import Presence, side_presence
 from autoreg.synthetic import SyntheticPhoto
 
 

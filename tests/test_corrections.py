@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from paved import HALF_BOND, fit_of
 
-from autoreg.corrections import with_measured_shift
-from autoreg.fit import Fit
-from autoreg.stations import ALONG_Y
+from autoreg.fitting.fit import Fit
+from autoreg.ground.sides import ALONG_Y
+from autoreg.paving.corrections import with_measured_shift
 from autoreg.synthetic import render_paving
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from autoreg.design_effect import Asked, design_effects, drawn_design_effect
+from autoreg.fitting.design_effect import Asked, design_effects, drawn_design_effect
 
 SIDE, UNKNOWNS = 12, 5
 PLACES = np.stack(np.meshgrid(np.arange(SIDE), np.arange(SIDE)), -1).reshape(-1, 2).astype(float)

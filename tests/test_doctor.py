@@ -1,7 +1,8 @@
 import pytest
 
-from autoreg import doctor, job
+from autoreg.command import doctor
 from autoreg.errors import Refusal
+from autoreg.jobs import job
 
 
 @pytest.fixture

@@ -8,11 +8,12 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from autoreg.camera import Camera
-from autoreg.edges import fit_offsets, search_offsets, strip_misfits, strip_support
-from autoreg.profiles import STEP_PX, Profiles, sample_profiles
-from autoreg.stations import ALONG_X, ALONG_Y, Stations
+from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.ground.stations import Stations
+from autoreg.joints.edges import fit_offsets, search_offsets, strip_misfits, strip_support
+from autoreg.joints.profiles import STEP_PX, Profiles, sample_profiles
+from autoreg.joints.widths import fit_widths
 from autoreg.synthetic import look_at_ground
-from autoreg.widths import fit_widths
 
 AT = np.arange(-20, 21) * STEP_PX
 CAMERA = Camera.from_focal(401, 301, 200.0)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from paved import CAMERA
 
-from autoreg import joint_data as terms
-from autoreg.fit import Fit
-from autoreg.freedom import Free, moved_camera, moved_pose, stretched
-from autoreg.joint_data import PARAMETERS
-from autoreg.solver import Solution
-from autoreg.stations import Grid
+from autoreg.fitting.fit import Fit
+from autoreg.ground.sides import Grid
+from autoreg.solve import joint_data as terms
+from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
+from autoreg.solve.joint_data import PARAMETERS
+from autoreg.solve.solver import Solution
 
 NOTHING = Solution("converged", np.zeros(PARAMETERS), 0.0, np.zeros(3), np.zeros((3, PARAMETERS)), 1)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from paved import STACK
 
-from autoreg.ground_frame import quarter_turns, turned, with_origin
+from autoreg.ground.ground_frame import quarter_turns, turned, with_origin
 
 POINT = np.array([0.7, -0.3, 0.2])
 

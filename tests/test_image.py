@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageOps, TiffImagePlugin
 
 from autoreg.errors import InputError
-from autoreg.exif import Exif, focal_from_exif, read_exif
+from autoreg.formats.exif import Exif, focal_from_exif, read_exif
 from autoreg.image import as_gray, load_photo, pyramid
 
 settings.register_profile("autoreg", deadline=None, derandomize=True, max_examples=60)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from autoreg.image_doubts import Averaged, Doubt, averaged_over
+from autoreg.grey_levels.image_doubts import Averaged, Doubt, averaged_over
 
 RNG = np.random.default_rng(4)
 COLUMNS = RNG.standard_normal((400, 5))

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from paved import CHECKER, STACK, gray_of, misses, nudged, true_grid
 
-from autoreg.edges import Offsets
-from autoreg.fit import Fit
-from autoreg.freedom import Free
-from autoreg.joint_looks import Strip, bloom_px
-from autoreg.refine import refine
-from autoreg.stations import Stations
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine
+from autoreg.ground.stations import Stations
+from autoreg.joints.edges import Offsets
+from autoreg.joints.joint_looks import Strip, bloom_px
+from autoreg.slabs.uncertainty import settle
+from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto, render_paving
-from autoreg.uncertainty import settle
 
 BARE = Strip((0.001, 0.001), 0.9, (0, 0), True)
 

@@ -7,10 +7,10 @@ import pytest
 from paved import CAMERA
 from sunk_joints import SUNK, fit_of, nearer
 
-from autoreg.lit_walls import beside_lit_walls
-from autoreg.measured_joints import measured_joints
-from autoreg.slab_effects import relief_effects
-from autoreg.stations import ALONG_X, ALONG_Y
+from autoreg.fitting.lit_walls import beside_lit_walls
+from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.slabs.measured_joints import measured_joints
+from autoreg.slabs.slab_effects import relief_effects
 from autoreg.synthetic import look_at_ground
 
 WIDTH, DARK, REACH = 0.016, (-1, -1), 5.0

@@ -10,7 +10,10 @@ ROOT = Path(__file__).parents[1]
 
 def program(code: str, **streams) -> subprocess.CompletedProcess:
     """A process that runs `program` after this code, in which `main` is a name."""
-    start = "import atexit, os, sys, threading, time\nfrom autoreg import __main__ as command, cli\n"
+    start = (
+        "import atexit, os, sys, threading, time\n"
+        "from autoreg import __main__ as command\nfrom autoreg.command import cli\n"
+    )
     streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | streams
     return subprocess.run(
         [sys.executable, "-c", f"{start}{code}\ncli.main = main\ncommand.program()\nprint('not reached')"],

@@ -10,19 +10,20 @@ import numpy as np
 import pytest
 
 from autoreg.camera import Camera
-from autoreg.corrections import recentred
-from autoreg.fit import Fit
-from autoreg.freedom import Free
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import vector_from_rotation
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.image import as_gray
-from autoreg.joint_looks import width_px_of
-from autoreg.measured_joints import MeasuredJoints, measured_joints, widths_told, without_washed_out
-from autoreg.refine import refine_until_still
-from autoreg.slab_effects import STEPS_RELIEF, STEPS_TOGETHER, TOGETHER, common_effects, relief_effects
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
+from autoreg.joints.joint_looks import width_px_of
+from autoreg.joints.widths import Widths
+from autoreg.paving.corrections import recentred
+from autoreg.slabs.measured_joints import MeasuredJoints, measured_joints, widths_told, without_washed_out
+from autoreg.slabs.slab_effects import STEPS_RELIEF, STEPS_TOGETHER, TOGETHER, common_effects, relief_effects
+from autoreg.slabs.uncertainty import settle
+from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
-from autoreg.uncertainty import settle
-from autoreg.widths import Widths
 
 SCENE = SyntheticScene(
     camera=Camera.from_focal(1200, 900, 1300.0),

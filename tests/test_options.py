@@ -3,7 +3,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autoreg.errors import InputError
-from autoreg.options import parse_crop, parse_height, parse_slab
+from autoreg.jobs.options import parse_crop, parse_height, parse_slab
 
 sides = st.floats(1e-3, 1e3)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from autoreg.errors import InputError
-from autoreg.outputs import clear_results, usable_folder, write_png, write_whole
+from autoreg.jobs.outputs import clear_results, usable_folder, write_png, write_whole
 
 
 def test_a_file_that_could_not_be_written_keeps_its_old_content(tmp_path, monkeypatch):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from handmade import CAMERA, POSE, ROWS, RUNNING, STACK, alignment, distorted
 
-from autoreg.overlay import overlay_picture
+from autoreg.jobs.overlay import overlay_picture
 from autoreg.view import View
 
 LATTICES = pytest.mark.parametrize("lattice", [STACK, RUNNING, ROWS], ids=["stack", "running", "rows"])

@@ -10,7 +10,7 @@ def run(code):
 def test_importing_autoreg_and_asking_for_help_import_no_numerics():
     code = """
 import sys, autoreg
-from autoreg.cli import main
+from autoreg.command.cli import main
 sys.argv = ["autoreg", "align", "--help"]
 try:
     main()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from made_sides import made_presence, presence_with
 
-from autoreg.lattice_choice import departs
-from autoreg.patterns import best_pattern, broken, outstanding, true_sides
-from autoreg.presence import Presence
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, slab_sides
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
+from autoreg.paving.lattice_choice import departs
+from autoreg.paving.patterns import best_pattern, broken, outstanding, true_sides
+from autoreg.paving.presence import Presence
 
 
 @pytest.mark.parametrize(

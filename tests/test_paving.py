@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 from paved import GRAVEL, gray_of, misses, nudged
 
-from autoreg.fit import Fit
-from autoreg.freedom import Free
-from autoreg.ground_frame import with_origin
-from autoreg.joint_looks import Strip
-from autoreg.lattice_choice import Paving, rival, same_lattice, settle_bond, with_pattern
-from autoreg.patterns import Pattern
-from autoreg.paving import fills, lay_lattice, refine_in_field
-from autoreg.plane_combs import comb_planes
-from autoreg.presence import field_polygon, presence_of
+from autoreg.fitting.fit import Fit
+from autoreg.ground.ground_frame import with_origin
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides, visible_sides
+from autoreg.ground.sight import looks_at
+from autoreg.joints.joint_looks import Strip
+from autoreg.paving.lattice_choice import Paving, rival, same_lattice, settle_bond, with_pattern
+from autoreg.paving.lay import fills, lay_lattice, refine_in_field
+from autoreg.paving.patterns import Pattern
+from autoreg.paving.plane_combs import comb_planes
+from autoreg.paving.presence import field_polygon, presence_of
 from autoreg.segments import detect_segments
-from autoreg.sight import looks_at
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground, slab_sides, visible_sides
+from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto
 
 ALL = Pattern(1, 0, 0, 0.0)

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paved import STACK
 
-from autoreg.periods import (
+from autoreg.ground.rectify import Family, Rectified
+from autoreg.paving.periods import (
     CAP,
     PHASES,
     best_combs,
@@ -21,7 +22,6 @@ from autoreg.periods import (
     log_likelihood_ratio,
     predicted_lines,
 )
-from autoreg.rectify import Family, Rectified
 
 LINES, COLUMNS = 400, 240
 

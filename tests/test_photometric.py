@@ -12,23 +12,24 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, multivariate_normal
 
-from autoreg import photometric
+from autoreg.answer.last_step import likeliest, rested
 from autoreg.camera import Camera
-from autoreg.cell_scores import told, told_by_cells
-from autoreg.fit import Fit
-from autoreg.freedom import Free
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
-from autoreg.joint_image import JointImage, Shape, with_looks
-from autoreg.joint_pixels import CROSSING, JOINT, TONES, JointPixels, View
-from autoreg.last_step import likeliest, rested
-from autoreg.measured_joints import without_washed_out
-from autoreg.near_joints import R2, SHOULDER_BLURS, joint_pixels, thinned
-from autoreg.photometric import Photometric, on_grey_levels
-from autoreg.photometric_step import Step, first_state, stepped, stepped_on
-from autoreg.refine import refine_until_still
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, on_ground, project_ground, visible_sides
+from autoreg.grey_levels import photometric
+from autoreg.grey_levels.cell_scores import told, told_by_cells
+from autoreg.grey_levels.joint_image import JointImage, Shape, with_looks
+from autoreg.grey_levels.joint_pixels import CROSSING, JOINT, TONES, JointPixels, View
+from autoreg.grey_levels.near_joints import R2, SHOULDER_BLURS, joint_pixels, thinned
+from autoreg.grey_levels.photometric import Photometric, on_grey_levels
+from autoreg.grey_levels.photometric_step import Step, first_state, stepped, stepped_on
+from autoreg.ground.points import on_ground, project_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, visible_sides
+from autoreg.slabs.measured_joints import without_washed_out
+from autoreg.slabs.uncertainty import Settled, settle
+from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticScene, clean_grey, look_at_ground
-from autoreg.uncertainty import Settled, settle
 
 REACH = 12.0
 PLAIN = SyntheticScene(
@@ -203,10 +204,10 @@ def taken(pixels: JointPixels) -> Step:
 
 
 def test_pixels_drawn_in_parts_take_the_step_of_all_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("autoreg.joint_pixels.AT_ONCE", 10**6)
+    monkeypatch.setattr("autoreg.grey_levels.joint_pixels.AT_ONCE", 10**6)
     pixels = pixels_of(PLAIN, photo_of(PLAIN, 1))
     whole = taken(pixels)
-    monkeypatch.setattr("autoreg.joint_pixels.AT_ONCE", len(pixels) // 5)
+    monkeypatch.setattr("autoreg.grey_levels.joint_pixels.AT_ONCE", len(pixels) // 5)
     parts = replace(pixels).parts
     assert sum(len(part) for part in parts) == len(pixels)
     assert np.array_equal(np.concatenate([part.cell for part in parts]), pixels.cell)

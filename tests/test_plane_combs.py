@@ -9,9 +9,9 @@ from paved import HALF_BOND
 from autoreg import search
 from autoreg.camera import Camera
 from autoreg.geometry import angle_between_rotations
-from autoreg.lattice_choice import Paving
-from autoreg.plane_combs import OTHER_FOCALS, PlaneCombs, comb_planes, with_other_focals
-from autoreg.sight import Sight, see
+from autoreg.ground.sight import Sight, see
+from autoreg.paving.lattice_choice import Paving
+from autoreg.paving.plane_combs import OTHER_FOCALS, PlaneCombs, comb_planes, with_other_focals
 from autoreg.synthetic import SyntheticPhoto, render_paving
 
 # Long bricks, whose short joints tell little of where they vanish.

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from made_sides import made_presence, presence_with
 from paved import CAMERA, STACK, gray_of
 
-from autoreg.fit import Fit
-from autoreg.ground_frame import with_origin
-from autoreg.joint_looks import Strip
-from autoreg.presence import Presence, field_polygon, p_llr, side_presence
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, inside_convex, slab_sides
+from autoreg.fitting.fit import Fit
+from autoreg.ground.ground_frame import with_origin
+from autoreg.ground.points import inside_convex
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
+from autoreg.joints.joint_looks import Strip
+from autoreg.paving.presence import Presence, field_polygon, p_llr, side_presence
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 DARK = Strip((0.01, 0.01), 0.8, (-1, -1))

@@ -10,7 +10,15 @@ from paved import CAMERA, STACK
 
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
-from autoreg.rectify import Family, Rectified, grid_axes, line_support, near_reach, picture_gradient, rectify
+from autoreg.ground.rectify import (
+    Family,
+    Rectified,
+    grid_axes,
+    line_support,
+    near_reach,
+    picture_gradient,
+    rectify,
+)
 from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
 
 UP = look_at_ground(pitch_deg=-45.0, height_m=1.0).R

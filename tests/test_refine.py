@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from paved import CAMERA, CHECKER, HALF_BOND, STACK, fit_of, gray_of, misses, nudged, true_grid
 
-from autoreg.fit import Fit
-from autoreg.freedom import Free
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine, refine_until_still
 from autoreg.geometry import angle_between_rotations
-from autoreg.joint_data import PARAMETERS
-from autoreg.refine import refine, refine_until_still
-from autoreg.solver import Solution
-from autoreg.stations import ALONG_X, ALONG_Y, Grid, project_ground
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
+from autoreg.solve.freedom import Free
+from autoreg.solve.joint_data import PARAMETERS
+from autoreg.solve.solver import Solution
 from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
 
 NOTHING = Solution("converged", np.zeros(PARAMETERS), 0.0, np.zeros(3), np.zeros((3, PARAMETERS)), 1)

@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of, gray_of
 
-from autoreg.bond import FALSE_ALARM_NATS
-from autoreg.camera import Camera
-from autoreg.cross_joints import Lean
-from autoreg.lattice_choice import TESTED_NATS, Paving
-from autoreg.presence import presence_of
-from autoreg.refusals import (
+from autoreg.answer.refusals import (
     FEW_SIDES,
     FRONTAL_DEG,
     ambiguous,
@@ -22,7 +17,12 @@ from autoreg.refusals import (
     maybe_wall,
     no_lattice,
 )
-from autoreg.stations import Grid
+from autoreg.camera import Camera
+from autoreg.ground.sides import Grid
+from autoreg.paving.bond import FALSE_ALARM_NATS
+from autoreg.paving.lattice_choice import TESTED_NATS, Paving
+from autoreg.paving.presence import presence_of
+from autoreg.rows.cross_joints import Lean
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 

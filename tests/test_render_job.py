@@ -8,12 +8,12 @@ from handmade import CAMERA, ROWS, RUNNING, STACK, alignment, distorted, photo_f
 from PIL import Image
 from typer.testing import CliRunner
 
-from autoreg import render_job
-from autoreg.alignment_file import read_alignment
-from autoreg.cli import app
+from autoreg.command.cli import app
 from autoreg.errors import InputError, RenderError
-from autoreg.options import parse_lens, parse_sun
-from autoreg.report import aligned_report, report_text
+from autoreg.jobs import render_job
+from autoreg.jobs.alignment_file import read_alignment
+from autoreg.jobs.options import parse_lens, parse_sun
+from autoreg.jobs.report import aligned_report, report_text
 
 BALL = '[[object]]\nshape = "sphere"\nradius = 0.2\nslab = [0, 0]\n'
 

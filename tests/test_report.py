@@ -6,8 +6,8 @@ import pytest
 from handmade import CAMERA, ROWS, STACK, alignment
 
 from autoreg.errors import Refusal
+from autoreg.jobs.report import RenderReport, aligned_report, refused_report, report_text
 from autoreg.rendering.check import RenderCheck
-from autoreg.report import RenderReport, aligned_report, refused_report, report_text
 
 PHOTO = Path("my photo.jpg")
 RENDER = RenderReport("preview", ("render.png", "composite.png"), RenderCheck(0.01, 0.03, 40))

@@ -9,8 +9,17 @@ from plain_residuals import joint_distances
 
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
-from autoreg.joint_data import CENTRE, FOCAL, PARAMETERS, RADIAL, RATIO, ROTATION, TRANSLATION, JointData
-from autoreg.residuals import (
+from autoreg.solve.joint_data import (
+    CENTRE,
+    FOCAL,
+    PARAMETERS,
+    RADIAL,
+    RATIO,
+    ROTATION,
+    TRANSLATION,
+    JointData,
+)
+from autoreg.solve.residuals import (
     distances_and_jacobian,
     moved_projection,
     project,

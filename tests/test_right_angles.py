@@ -10,20 +10,21 @@ import pytest
 from paved import gray_of
 
 from autoreg.align import EXIF_FOCAL_SIGMA, align
+from autoreg.answer.full_resolution import MOST_FOCAL_SIGMA
+from autoreg.answer.refusals import MOST_FANNED_DEG, fanned
+from autoreg.answer.right_angles import SHARED_RAD, Squared, square_up
 from autoreg.camera import Camera
-from autoreg.cross_joints import change_of_lean, common_lean, off_angle, off_square
 from autoreg.errors import Refusal
-from autoreg.fit import Fit
-from autoreg.freedom import Free
-from autoreg.full_resolution import MOST_FOCAL_SIGMA
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, angle_between_rotations, vector_from_rotation
+from autoreg.ground.points import on_ground, project_ground
+from autoreg.ground.sides import Grid
 from autoreg.image import as_gray
-from autoreg.refine import refine_until_still
-from autoreg.refusals import MOST_FANNED_DEG, fanned
-from autoreg.right_angles import SHARED_RAD, Squared, square_up
-from autoreg.rows import STEP_SIGMA
+from autoreg.rows.cross_joints import change_of_lean, common_lean, off_angle, off_square
+from autoreg.rows.rows import STEP_SIGMA
 from autoreg.segments import Segments, detect_segments
-from autoreg.stations import Grid, on_ground, project_ground
+from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
 
 PITCH, HEADING = np.deg2rad([36.0, 40.0])

@@ -7,12 +7,12 @@ from paved import CAMERA, STACK
 
 from autoreg.align import align
 from autoreg.errors import Refusal
+from autoreg.ground.sight import looks_at, see
 from autoreg.image import as_gray
-from autoreg.plane_combs import PlaneCombs, comb_planes
-from autoreg.rows import Rows, lay_rows
+from autoreg.paving.plane_combs import PlaneCombs, comb_planes
+from autoreg.rows.rows import Rows, lay_rows
 from autoreg.search import find_paving
 from autoreg.segments import Segments, detect_segments
-from autoreg.sight import looks_at, see
 from autoreg.synthetic import SyntheticPhoto
 
 PX_PER_M, EXTENT_M = 160, 8.0

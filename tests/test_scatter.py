@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from autoreg.fit import Fit
-from autoreg.joint_data import PARAMETERS
-from autoreg.scatter import beside_rim, scatter_model
-from autoreg.solver import Solution
-from autoreg.stations import ALONG_X
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.scatter import beside_rim, scatter_model
+from autoreg.ground.sides import ALONG_X
+from autoreg.solve.joint_data import PARAMETERS
+from autoreg.solve.solver import Solution
 
 NOTHING = Solution("converged", np.zeros(PARAMETERS), 0.0, np.zeros(3), np.zeros((3, PARAMETERS)), 1)
 

@@ -5,10 +5,10 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from autoreg.lattice_choice import Paving
+from autoreg.ground.sight import Sight, see
+from autoreg.paving.lattice_choice import Paving
 from autoreg.search import find_paving
 from autoreg.segments import Detection, Segments
-from autoreg.sight import Sight, see
 from autoreg.synthetic import SyntheticPhoto
 
 NONE = Segments(np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, int))

@@ -7,8 +7,8 @@ import pytest
 from paved import nudged
 
 from autoreg.geometry import angle_between_rotations
+from autoreg.ground.sharpen import sharpen
 from autoreg.segments import Segments, detect_segments
-from autoreg.sharpen import sharpen
 from autoreg.synthetic import SyntheticPhoto
 
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from paved import POSE_ALONE, STACK, gray_of, misses, nudged, true_grid
 
-from autoreg import measured_joints
+from autoreg.answer.last_step import likeliest
 from autoreg.camera import Camera
-from autoreg.fit import Fit
-from autoreg.last_step import likeliest
-from autoreg.refine import refine
-from autoreg.smear import SMEARED, alike_in_px, smear, smeared
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine
+from autoreg.joints.smear import SMEARED, alike_in_px, smear, smeared
+from autoreg.slabs import measured_joints
+from autoreg.slabs.uncertainty import settle
 from autoreg.synthetic import SyntheticPhoto, render_paving
-from autoreg.uncertainty import settle
 
 CORNERS = np.array([[20.0, 20.0], [620.0, 460.0]])
 # A hand's motion of five pixels, along the picture's axes and along its diagonals.

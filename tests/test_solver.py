@@ -8,11 +8,20 @@ from handmade_joints import CAMERA, POSE, SIGMA_PX, TRUTH, Start, problem
 from plain_residuals import joint_distances
 from scipy.optimize import least_squares
 
-from autoreg import solver
 from autoreg.geometry import Rigid, angle_between_rotations, rotation_from_vector
-from autoreg.joint_data import CENTRE, FOCAL, PARAMETERS, RADIAL, RATIO, ROTATION, TRANSLATION, JointData
-from autoreg.residuals import robust
-from autoreg.solver import CAPACITY, CAUCHY_SIGMAS, Prior, solve_joints
+from autoreg.solve import solver
+from autoreg.solve.joint_data import (
+    CENTRE,
+    FOCAL,
+    PARAMETERS,
+    RADIAL,
+    RATIO,
+    ROTATION,
+    TRANSLATION,
+    JointData,
+)
+from autoreg.solve.residuals import robust
+from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, Prior, solve_joints
 
 EVERYTHING = np.ones(PARAMETERS)
 

@@ -9,17 +9,9 @@ from hypothesis import strategies as st
 from paved import CAMERA, STACK, true_grid
 
 from autoreg.camera import Camera
-from autoreg.stations import (
-    ALONG_X,
-    ALONG_Y,
-    Grid,
-    inside_convex,
-    place_stations,
-    project_ground,
-    slab_sides,
-    visible_ground,
-    visible_sides,
-)
+from autoreg.ground.points import inside_convex, project_ground, visible_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides, visible_sides
+from autoreg.ground.stations import place_stations
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 POSE = STACK.cam_from_ground

@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autoreg.answer.conclude import Frame
 from autoreg.camera import Camera
-from autoreg.conclude import Frame
-from autoreg.fit import Fit
-from autoreg.freedom import Free
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
+from autoreg.ground.sides import ALONG_Y, Grid
 from autoreg.image import as_gray
-from autoreg.refine import refine_until_still
-from autoreg.slab_model import estimate_motion
-from autoreg.solver import Prior
-from autoreg.stations import ALONG_Y, Grid
+from autoreg.slabs.slab_model import estimate_motion
+from autoreg.slabs.uncertainty import check_camera, settle
+from autoreg.solve.freedom import Free
+from autoreg.solve.solver import Prior
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
-from autoreg.uncertainty import check_camera, settle
 
 SCENE = SyntheticScene(
     camera=Camera.from_focal(800, 600, 700.0),

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from autoreg.camera import Camera
-from autoreg.directions import LAYING_SPREAD_RAD
 from autoreg.errors import Refusal
 from autoreg.geometry import angle_between_rotations
-from autoreg.ground_planes import ground_planes, ground_planes_unknown_focal
+from autoreg.ground.directions import LAYING_SPREAD_RAD
+from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal
 from autoreg.segments import Segments, detect_segments
 from autoreg.synthetic import look_at_ground
 from autoreg.vanishing import manhattan_frame

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from autoreg.calibration.board import parse_pattern
 from autoreg.camera import Camera
-from autoreg.camera_fields import number
 from autoreg.camera_files import read_camera, read_camera_record
 from autoreg.errors import InputError
+from autoreg.formats.camera_fields import number
 
 _PARTS = (
     "width", "height", "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3",

@@ -9,7 +9,7 @@ from typing import Literal
 
 from autoreg.calibration.claims import Claims
 from autoreg.calibration.focal import angle_deg, focal_from_angle
-from autoreg.exif import Exif
+from autoreg.formats.exif import Exif
 
 # EXIF's focal lengths are rounded, and breathe with the distance of focus.
 FOCAL_AGREES, FOCAL_CONTRADICTS = 0.05, 0.12

@@ -12,7 +12,7 @@ import numpy as np
 from autoreg.calibration.models import INTRINSICS
 from autoreg.calibration.plots import plots_of
 from autoreg.calibration.result import Calibration
-from autoreg.outputs import write_whole
+from autoreg.jobs.outputs import write_whole
 
 REPORT_NAME = "calibration.html"
 

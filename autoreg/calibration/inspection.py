@@ -15,7 +15,7 @@ from autoreg.calibration.exif_support import FOCAL_AGREES, FOCAL_CONTRADICTS, Su
 from autoreg.calibration.focal import FocalLength, angle_deg, focal_from_angle
 from autoreg.camera import fit_to_photo, same_aspect
 from autoreg.errors import InputError
-from autoreg.exif import Exif, focal_from_exif, read_exif
+from autoreg.formats.exif import Exif, focal_from_exif, read_exif
 from autoreg.image import load_photo
 
 Weight = Literal["wrong", "odd", "note"]

@@ -19,7 +19,7 @@ from autoreg.calibration.board import Board
 from autoreg.calibration.corners import trouble
 from autoreg.calibration.detection import Detection, find_board, nothing
 from autoreg.errors import InputError
-from autoreg.exif import Exif, read_exif
+from autoreg.formats.exif import Exif, read_exif
 from autoreg.image import as_gray, load_photo, pyramid
 
 Source = str | Path | np.ndarray

@@ -13,7 +13,7 @@ import yaml
 from autoreg.calibration.models import INTRINSICS
 from autoreg.calibration.result import Calibration
 from autoreg.camera_files import write_camera_json
-from autoreg.outputs import write_whole
+from autoreg.jobs.outputs import write_whole
 
 _DIGITS = 6
 

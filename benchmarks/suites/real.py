@@ -14,7 +14,7 @@ from autoreg.align import align
 from autoreg.alignment import Alignment
 from autoreg.errors import Refusal
 from autoreg.image import load_photo
-from autoreg.overlay import overlay_picture
+from autoreg.jobs.overlay import overlay_picture
 from benchmarks.metrics import Figure
 from benchmarks.options import Options
 from benchmarks.photos import photo_files, without_photos

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autoreg.batch_solver import solve_batch
 from autoreg.camera import Camera
-from autoreg.freedom import Free
+from autoreg.fitting.refine import refine
 from autoreg.geometry import Rigid, angle_between_rotations
-from autoreg.joint_data import JointData
-from autoreg.refine import refine
-from autoreg.solver import solve_joints
+from autoreg.solve.batch_solver import solve_batch
+from autoreg.solve.freedom import Free
+from autoreg.solve.joint_data import JointData
+from autoreg.solve.solver import solve_joints
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from benchmarks.last_stage import crossings_error_px, crossings_of, finish, grid_of, nudged
 from benchmarks.metrics import Figure

@@ -14,9 +14,9 @@ from autoreg.alignment import Alignment
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid, angle_between_rotations
-from autoreg.ground_frame import turned
+from autoreg.ground.ground_frame import turned
+from autoreg.ground.points import on_ground, project_ground
 from autoreg.image import as_gray
-from autoreg.stations import on_ground, project_ground
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from benchmarks.last_stage import crossings_of
 from benchmarks.metrics import Figure

@@ -17,7 +17,7 @@ from autoreg.camera import Camera
 from autoreg.camera_files import read_camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid, angle_between_rotations
-from autoreg.ground_frame import turned, with_origin
+from autoreg.ground.ground_frame import turned, with_origin
 from autoreg.image import load_photo
 from autoreg.synthetic import SyntheticScene
 from benchmarks.last_stage import crossings_error_px, crossings_of, pose_error

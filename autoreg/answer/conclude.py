@@ -1,0 +1,202 @@
+"""From the last fit to the answer: the canonical frame, the scale, and the figures that are reported."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.alignment import JointFit, Residual
+from autoreg.errors import Refusal
+from autoreg.fitting.fit import Fit
+from autoreg.geometry import Rigid
+from autoreg.ground.ground_frame import quarter_turns
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
+from autoreg.lattice import Lattice, LatticeKind
+from autoreg.paving.lattice_choice import has_ratio
+from autoreg.paving.presence import Presence
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A choice among the lattice's equivalent frames: quarter turns about a crossing."""
+
+    quarter_turns: int
+    origin: Float[np.ndarray, "2"]
+
+    def grid(self, grid: Grid) -> Grid:
+        """The lattice in this frame."""
+        if self.quarter_turns % 2 == 0 or grid.spacing_x is None:
+            return grid
+        return Grid(grid.spacing_y, grid.spacing_x, 0.0)
+
+    def pose(self, pose: Rigid) -> Rigid:
+        """cam_from_ground for this frame's ground."""
+        turn = self.rotation
+        return Rigid(pose.R @ turn, pose.t + pose.R[:, :2] @ self.origin)
+
+    def covariance(self, covariance: Float[np.ndarray, "6 6"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
+        """Covariance of the moved pose: the new origin swings with the rotation about the old one."""
+        x, y, z = pose.R[:, :2] @ self.origin
+        A = np.eye(6)
+        A[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return A @ covariance @ A.T
+
+    @property
+    def rotation(self) -> Float[np.ndarray, "3 3"]:
+        """Old ground axes from this frame's."""
+        return quarter_turns(self.quarter_turns)
+
+    def points(self, points: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+        """Ground points of the old frame, in this one."""
+        return (points - self.origin) @ self.rotation[:2, :2]
+
+
+def canonical_frame(fit: Fit, presence: Presence, crossing: Float[np.ndarray, "2"] | None) -> Frame:
+    """The frame by the written rule: +Y points most away from the camera, origin nearest the paving's middle.
+
+    The middle is the ground under the mean pixel of the sides that are there. A running bond and rows keep
+    X along the unbroken joints, so that only half a turn is free; the origin of rows, whose cross joints
+    follow no law, is the given `crossing`.
+    """
+    R = fit.cam_from_ground.R
+    ahead = R[2, :2]
+    free = (0, 1, 2, 3) if fit.grid.spacing_x is not None and not fit.grid.shift else (0, 2)
+    y_axes = {0: (0.0, 1.0), 1: (-1.0, 0.0), 2: (0.0, -1.0), 3: (1.0, 0.0)}
+    turns = max(free, key=lambda q: round(float(np.dot(ahead, y_axes[q])), 9))
+    if crossing is not None:
+        return Frame(turns, crossing)
+    here = presence.sides.ends[presence.there].reshape(-1, 2)
+    px = project_ground(fit.camera, fit.cam_from_ground, here).mean(0)
+    ray = fit.camera.unproject(px[None])[0] @ R
+    eye = fit.cam_from_ground.origin_in_a
+    middle = (eye - ray * eye[2] / ray[2])[:2] if ray[2] < -1e-9 else here.mean(0)
+    a, b, shift = fit.grid.spacing_x, fit.grid.spacing_y, fit.grid.shift
+    j = round(float(middle[1] / b))
+    # Row 0 of a frame turned by half lies on the other side of the origin's unbroken joint.
+    row = j - 1 if turns == 2 else j
+    x = middle[0] if a is None else (round(float(middle[0] / a - row * shift)) + row * shift) * a
+    return Frame(turns, np.array([float(x), j * b]))
+
+
+def lattice_kind(grid: Grid) -> LatticeKind:
+    """Name of the bond."""
+    if grid.spacing_x is None:
+        return "rows"
+    return "running" if grid.shift else "stack"
+
+
+def describe_lattice(fit: Fit, presence: Presence, frame: Frame, scale: float) -> Lattice:
+    """The lattice in the chosen frame and in metres."""
+    grid = frame.grid(fit.grid)
+    widths = np.array(fit.strip.width)
+    counts = np.array([(fit.stations.family[fit.usable] == f).sum() for f in (ALONG_X, ALONG_Y)])
+    return Lattice(
+        kind=lattice_kind(grid),
+        spacing_x=None if grid.spacing_x is None else scale * grid.spacing_x,
+        spacing_y=scale * grid.spacing_y,
+        shift=None if grid.spacing_x is None else grid.shift,
+        joint_width=scale * float((widths * counts).sum() / max(counts.sum(), 1)),
+        extent=scale * frame.points(presence.field),
+    )
+
+
+def measure_residual(fit: Fit) -> Residual:
+    """How far the photographed joints lie from the fitted ones."""
+    off = np.abs(fit.distances_px)
+    inlier = fit.usable & (off < 3.0 * fit.sigma_px)
+    near = off[inlier]
+    keys = np.stack([fit.stations.family, fit.stations.line], 1)[inlier]
+    return Residual(
+        rms_px=float(np.sqrt(np.mean(near**2))),
+        median_px=float(np.median(near)),
+        p95_px=float(np.quantile(near, 0.95)),
+        joints=len(np.unique(keys, axis=0)),
+        samples=int(inlier.sum()),
+        inlier_fraction=float(inlier.sum() / len(off)),
+    )
+
+
+def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
+    """The joint lines that carried the fit, in the chosen frame's families and indices.
+
+    An unbroken joint is one entry; the cross joints of a running bond are one each.
+    """
+    inlier = fit.usable & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
+    grid = frame.grid(fit.grid)
+    family, line, cell = fit.stations.family[inlier], fit.stations.line[inlier], fit.stations.cell[inlier]
+    piece = np.where((family == ALONG_Y) & (fit.grid.shift != 0), cell, 0)
+    ground, off = fit.stations.ground[inlier], fit.distances_px[inlier]
+    turned = frame.quarter_turns % 2 == 1
+    joints: list[JointFit] = []
+    keys, inverse = np.unique(np.stack([family, line, piece], 1), axis=0, return_inverse=True)
+    for k in range(len(keys)):
+        rows = np.flatnonzero(inverse == k)
+        if len(rows) < 2:
+            continue
+        along = ground[rows, keys[k, 0]]
+        ends = ground[rows[[int(along.argmin()), int(along.argmax())]]]
+        x, y = frame.points(ends.mean(0))
+        name: Literal["x", "y"] = "x" if (keys[k, 0] == ALONG_X) != turned else "y"
+        if name == "x":
+            index = round(float(y / grid.spacing_y))
+        else:
+            row = np.floor(float(y / grid.spacing_y))
+            index = round(float(x / (grid.spacing_x or 1.0) - (row * grid.shift if grid.shift else 0.0)))
+        ends_px = project_ground(fit.camera, fit.cam_from_ground, ends)
+        joints.append(JointFit(name, index, ends_px, float(np.sqrt(np.mean(off[rows] ** 2)))))
+    return tuple(sorted(joints, key=lambda j: (j.family, j.index, float(j.ends_px[0, 0]))))
+
+
+def metric_scale(
+    fit: Fit, slab: tuple[float, float] | None, camera_height: float | None
+) -> tuple[float, Literal["slab", "camera_height", "none"]]:
+    """Metres per unit of the fit, and where it comes from."""
+    a, b = fit.grid.spacing_x, fit.grid.spacing_y
+    if slab is not None:
+        sides = sorted(slab)
+        if a is None:
+            if abs(sides[1] / sides[0] - 1) > 0.01:
+                raise Refusal(
+                    "ambiguous",
+                    "only the unbroken joints repeat here, and either side of the "
+                    f"{slab[0]:g} x {slab[1]:g} m slab may be the width of a row; "
+                    "give the row's width as one number with --slab",
+                    measured=2.0,
+                    limit=1.0,
+                )
+            return sides[0] / b, "slab"
+        return float(np.sqrt(sides[0] * sides[1] / (a * b))), "slab"
+    if camera_height is not None:
+        return camera_height / float(fit.cam_from_ground.origin_in_a[2]), "camera_height"
+    return (1.0 / b if a is None else 2.0 / (a + b)), "none"
+
+
+def slab_mismatch(fit: Fit, slab: tuple[float, float]) -> Refusal | None:
+    """The refusal of a slab whose sides cannot be those of the photo's lattice; None if they may be."""
+    a, b = fit.grid.spacing_x, fit.grid.spacing_y
+    if a is None or has_ratio(fit.grid, slab):
+        return None
+    seen, told = max(a, b) / min(a, b), max(slab) / min(slab)
+    return Refusal(
+        "slab_mismatch",
+        f"the slabs in this photo have sides in the ratio {seen:.3f}, those given with --slab {told:.3f}; "
+        "measure a slab from joint to joint, or check that the camera belongs to this photo",
+        measured=round(float(seen), 4),
+        limit=round(float(told), 4),
+    )
+
+
+def with_slab_ratio(fit: Fit, slab: tuple[float, float]) -> Fit:
+    """The fit with its lattice's side ratio replaced by the slab's, at the same area."""
+    a, b = fit.grid.spacing_x, fit.grid.spacing_y
+    if a is None:
+        return fit
+    short, long = sorted(slab)
+    ratio = long / short if a > b else short / long
+    mean = float(np.sqrt(a * b))
+    root = float(np.sqrt(ratio))
+    return replace(fit, grid=replace(fit.grid, spacing_x=mean * root, spacing_y=mean / root))

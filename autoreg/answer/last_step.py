@@ -1,0 +1,76 @@
+"""The last step of a fit: the likeliest pose over uneven slabs, or that of the grey levels of even ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.fitting.fit import Fit
+from autoreg.grey_levels import photometric
+from autoreg.joints.smear import smeared
+from autoreg.paving.corrections import recentred
+from autoreg.slabs import slab_effects
+from autoreg.slabs.measured_joints import measured_joints, widths_told, without_washed_out
+from autoreg.slabs.uncertainty import Settled, settle
+
+# Slabs whose places scatter by more than this, as seen across a joint of median size, need not be tried.
+UNEVEN_PX = 0.04
+# Joints that look narrower by more than this share of their width at a slope of one are sunk. Prints may seem
+# so by up to 0.06.
+SUNK = 0.1
+# Dark walls leave the widths of sunk joints alone, but not their looks: their far and near halves differ by
+# more than this share of the contrast (by 0.03 to 0.3, where those of flat ones do by a thousandth).
+LOPSIDED = 0.02
+
+
+def likeliest(picture: Float[np.ndarray, "h w"], fit: Fit) -> Settled:
+    """The fit at its likeliest pose by the measured places of its joints, and the scatter of its slabs.
+
+    The model of irregular slabs knows the turn better, and the place as well where the joints' widths tell
+    how far the relief of sunk joints moves them. Without these a relief is hard to tell from a shift of all
+    joints, and the plain joints know the place better.
+    """
+    # The widths that joints have in a smeared picture would be taken for relief.
+    at_px = fit.profiles.centre_px[fit.usable]
+    if fit.grid.spacing_x is None:
+        return settle(fit, widths=not smeared(picture, at_px))
+    fit = without_washed_out(fit)
+    widths = widths_told(fit) and not smeared(picture, at_px)
+    settled = settle(fit, widths=widths)
+    if not widths:
+        return replace(settled, fit=recentred(settled.fit))
+    return replace(
+        settled, narrowing=slab_effects.narrowing(measured_joints(fit, np.flatnonzero(fit.usable)))
+    )
+
+
+def rested(
+    picture: Float[np.ndarray, "h w"],
+    settled: Settled,
+    reach: float,
+    field: Float[np.ndarray, "k 2"] | None = None,
+) -> Settled:
+    """A fit from its likeliest pose brought to its last one.
+
+    Where the slabs lie so evenly that the picture's grey levels can tell no difference, these tell the pose,
+    unless the joints' widths, or their looks, tell that they are sunk.
+    """
+    fit = settled.fit
+    if fit.grid.spacing_x is None:
+        return settled
+    # The grey levels are held against flat joints, and sunk ones look much like these at another pose.
+    if settled.narrowing > SUNK:
+        return settled
+    if settled.scatter.place * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
+        return settled
+    # Joints that may be sunk a little may be off as much as sunk ones.
+    together = slab_effects.TOGETHER if settled.scatter.relief > 0 else photometric.TOGETHER
+    exact = photometric.on_grey_levels(picture, fit, settled.covariance, reach, field, together)
+    if exact is None or exact.lopsided > LOPSIDED:
+        return settled
+    # Of a large picture's pixels a few are looked at, and the measured places may know more.
+    if np.linalg.slogdet(exact.plain)[1] > np.linalg.slogdet(settled.covariance)[1]:
+        return replace(settled, covariance=settled.covariance + exact.doubted)
+    return replace(settled, fit=exact.fit, covariance=exact.covariance)

@@ -1,0 +1,238 @@
+"""The command line. Results go to files, `--json` to stdout, and everything for people to stderr."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from autoreg.command.calibration_commands import add_calibration_commands
+from autoreg.command.cli_messages import listener_on_stderr, tell, tell_check, tell_outcome
+from autoreg.command.cli_render import (
+    DemoOption,
+    DofOption,
+    EngineOption,
+    LinesOption,
+    OptionalValues,
+    SceneOption,
+    SunOption,
+    TimeoutOption,
+    parse_wish,
+)
+from autoreg.errors import AutoregError, InputError
+from autoreg.jobs.options import parse_crop, parse_height, parse_slab
+
+if TYPE_CHECKING:
+    from autoreg.jobs.job import Job
+
+INTERRUPTED = 130
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Align a camera to photographed paving, so that a computer-generated object can stand on it.",
+)
+
+_FolderOption = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of results.")
+]
+
+
+@app.command("align", cls=OptionalValues)
+def align_command(
+    photo: Annotated[Path, typer.Argument(help="The photo; put -- before a name that begins with -.")],
+    camera: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Camera: own JSON, OpenCV or ROS YAML, COLMAP.")
+    ] = None,
+    crop: Annotated[
+        str | None, typer.Option(metavar="X,Y,W,H", help="Part of the calibrated frame that the photo shows.")
+    ] = None,
+    slab: Annotated[
+        str | None, typer.Option(metavar="AxB", help="Sides of a slab in metres, either order: 0.6x0.4.")
+    ] = None,
+    camera_height: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Camera's height above the ground.")
+    ] = None,
+    output: _FolderOption = None,
+    render: Annotated[
+        bool, typer.Option("--render", help="Also write render.png and composite.png.")
+    ] = False,
+    engine: EngineOption = None,
+    scene: SceneOption = None,
+    demo_object: DemoOption = False,
+    sun: SunOption = None,
+    lines: LinesOption = False,
+    dof: DofOption = None,
+    timeout: TimeoutOption = 1800.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print alignment.json on stdout.")] = False,
+) -> None:
+    """Align the camera of PHOTO to the paving in it.
+
+    Writes alignment.json, overlay.png and scene.pov into DIR (by default the photo's name + .autoreg).
+    Exit codes: 0 aligned, 2 bad input, 3 refused, 4 render failed.
+    """
+    with _exit_codes():
+        if slab is not None and camera_height is not None:
+            raise InputError("--slab and --camera-height both give the scale; give one of them")
+        if crop is not None and camera is None:
+            raise InputError(
+                "--crop says how the photo was cut from the calibrated frame, so it needs --camera"
+            )
+        # Whoever says what the picture shall show wants to see it; the engine alone may be a leftover.
+        render = render or demo_object or lines or any(o is not None for o in (scene, sun, dof))
+        if engine is not None and not render:
+            raise InputError("--engine chooses what renders, so it needs --render")
+        wish = parse_wish(scene, demo_object, sun, lines, dof, timeout)
+        from autoreg.jobs.job import Job
+
+        job = Job(
+            photo=photo,
+            folder=output if output is not None else Path(f"{photo.name}.autoreg"),
+            camera=camera,
+            crop=None if crop is None else parse_crop(crop),
+            slab=None if slab is None else parse_slab(slab),
+            camera_height=None if camera_height is None else parse_height(camera_height),
+            engine=(engine or "auto") if render else None,
+            wish=wish,
+        )
+        _run(job, as_json=as_json)
+
+
+@app.command("render", cls=OptionalValues)
+def render_command(
+    alignment: Annotated[Path, typer.Argument(help="The alignment.json of an aligned photo.")],
+    scene: SceneOption = None,
+    demo_object: DemoOption = False,
+    sun: SunOption = None,
+    lines: LinesOption = False,
+    dof: DofOption = None,
+    engine: EngineOption = None,
+    photo: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The photo, if it is no longer where it was.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder, else ALIGNMENT's.")
+    ] = None,
+    timeout: TimeoutOption = 1800.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print alignment.json on stdout.")] = False,
+) -> None:
+    """Put objects onto an aligned photo.
+
+    Writes scene.pov, render.png and composite.png, and what the render says into alignment.json. Without
+    --scene, demo objects stand there. Exit codes: 0 rendered, 2 bad input, 4 render failed.
+    """
+    with _exit_codes():
+        wish = parse_wish(scene, demo_object, sun, lines, dof, timeout)
+        from autoreg.jobs.render_job import RenderJob, run_render
+
+        job = RenderJob(alignment, wish, engine or "auto", photo, output)
+        with listener_on_stderr() as listener:
+            outcome = run_render(job, listener.doing, listener.progress, listener.note)
+        if as_json:
+            from autoreg.jobs.report import report_text
+
+            sys.stdout.write(report_text(outcome.report))
+        for path in outcome.written:
+            tell(f"wrote {path}")
+        tell_check(outcome.report)
+        if outcome.error is not None:
+            tell(f"error: the render failed: {outcome.error}")
+            raise typer.Exit(outcome.error.exit_code)
+
+
+@app.command()
+def demo(output: _FolderOption = None) -> None:
+    """Align and render the picture that autoreg brings along; DIR is autoreg-demo by default."""
+    with _exit_codes():
+        from autoreg.jobs.job import demo_job
+
+        _run(demo_job(output or Path("autoreg-demo"), "auto"), as_json=False)
+
+
+@app.command()
+def doctor() -> None:
+    """Say which parts are installed, and try the whole on a small picture; exit code 0 if it works."""
+    with _exit_codes():
+        from autoreg.command.doctor import examine
+
+        if not examine(print):
+            raise typer.Exit(1)
+
+
+def _show_version(wanted: bool) -> bool:
+    if wanted:
+        import autoreg
+
+        print(f"autoreg {autoreg.__version__}")
+        raise typer.Exit
+    return wanted
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options that stand before the command."""
+
+
+def main() -> None:
+    """Run the command line; it ends the process with the contract's exit codes."""
+    # A polite kill ends a run as Ctrl-C does: other programs are stopped, and nothing is half written.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # Ctrl-C may come before a command has begun.
+    try:
+        try:
+            app(prog_name="autoreg")
+        finally:
+            # What a thread imports or compiles must not be broken off by the interpreter's end.
+            for thread in threading.enumerate():
+                if thread is not threading.current_thread() and not thread.daemon:
+                    thread.join()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def _exit_codes() -> Generator[None]:
+    """Foreseen failures become a message on stderr and an exit code."""
+    try:
+        yield
+    except AutoregError as error:
+        tell(f"error: {error}")
+        raise typer.Exit(error.exit_code) from None
+    except OSError as error:
+        # The disk is full, a folder vanished, a file may not be read: the system's words say it best.
+        tell(f"error: {error}")
+        raise typer.Exit(InputError.exit_code) from None
+    except KeyboardInterrupt:
+        tell("interrupted; every file that was written is whole")
+        raise typer.Exit(INTERRUPTED) from None
+
+
+add_calibration_commands(app, _exit_codes)
+
+
+def _run(job: Job, *, as_json: bool) -> None:
+    """Run a job, tell how it ended, and exit with its code."""
+    from autoreg.jobs.job import run_job
+    from autoreg.jobs.report import report_text
+
+    with listener_on_stderr() as listener:
+        outcome = run_job(job, listener)
+    if as_json:
+        sys.stdout.write(report_text(outcome.report))
+    tell_outcome(outcome)
+    failure = outcome.refusal or outcome.render_error
+    if failure is not None:
+        raise typer.Exit(failure.exit_code)

@@ -1,0 +1,86 @@
+"""A refined pose with all that it was fitted to, and what the joints it rests on say of themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid
+from autoreg.ground.sides import Grid
+from autoreg.ground.stations import Stations
+from autoreg.joints.edges import Offsets
+from autoreg.joints.joint_looks import Strip, width_px_of
+from autoreg.joints.profiles import Profiles
+from autoreg.joints.widths import APART_BLURS, Widths, fit_widths
+from autoreg.solve.freedom import Free
+from autoreg.solve.solver import CAUCHY_SIGMAS, Solution
+
+# Stations that keep less of their weight do not lie on their joint.
+LEAST_WEIGHT = 0.1
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A refined pose with all that it was fitted to.
+
+    `weight` is each station's robust weight (0 to 1), `sigma_px` its expected scatter: measurement and the
+    slabs' own irregularity together. What is `rimmed` was measured from its near slab's rim, by a width that
+    other joints told.
+    """
+
+    camera: Camera
+    cam_from_ground: Rigid
+    grid: Grid
+    strip: Strip
+    stations: Stations
+    profiles: Profiles
+    offsets: Offsets
+    distances_px: Float[np.ndarray, " n"]
+    sigma_px: Float[np.ndarray, " n"]
+    usable: Bool[np.ndarray, " n"]
+    solution: Solution
+    free: Free
+    rimmed: Bool[np.ndarray, " n"]
+
+    @property
+    def weight(self) -> Float[np.ndarray, " n"]:
+        """Cauchy weight of each station; zero for one whose joint could not be measured."""
+        return self.usable / (1.0 + (self.distances_px / (CAUCHY_SIGMAS * self.sigma_px)) ** 2)
+
+    @property
+    def missed(self) -> float:
+        """Share of the stations that do not lie on their joint, in the family with more of them."""
+        off, family = self.weight < LEAST_WEIGHT, self.stations.family
+        return max(float(off[family == k].mean()) for k in np.unique(family))
+
+    def measured_at(
+        self,
+        rows: Int[np.ndarray, " k"],
+        offset_px: Float[np.ndarray, " k"],
+        sigma_px: Float[np.ndarray, " k"],
+    ) -> Fit:
+        """The fit with other measurements of some stations; its pose stays."""
+        offset, sigma = self.offsets.offset_px.copy(), self.offsets.sigma_px.copy()
+        distances = self.distances_px.copy()
+        # Distances are of the projected places from the measured ones.
+        distances[rows] += offset[rows] - offset_px
+        offset[rows], sigma[rows] = offset_px, sigma_px
+        offsets = replace(self.offsets, offset_px=offset, sigma_px=sigma)
+        return replace(self, offsets=offsets, distances_px=distances)
+
+    @cached_property
+    def apart(self) -> Bool[np.ndarray, " n"]:
+        """Stations whose joint, darker or lighter than its slabs, is so wide that both of its edges show."""
+        lined = np.array(self.strip.polarity)[self.stations.family] != 0
+        expected = width_px_of(self.strip, self.stations, self.profiles)
+        return self.usable & lined & ~self.rimmed & (expected > APART_BLURS * self.strip.blur_px)
+
+    @cached_property
+    def widths(self) -> Widths:
+        """Middle and width of the joints that are `apart`, by their own two edges."""
+        expected, rows = width_px_of(self.strip, self.stations, self.profiles), np.flatnonzero(self.apart)
+        return fit_widths(self.profiles, self.offsets.offset_px, expected, self.strip.blur_px, rows)

@@ -1,0 +1,214 @@
+"""Sunk joints seen aslant, with the far slab's wall in the light beside what is left of their beds.
+
+Such a joint has three parts in the picture: from the near slab's rim on its bed, and what of the wall is in
+shadow; then the wall in the light, as light as the slabs or lighter; then the far slab. A strip of one tone
+takes the dark part for the whole joint, and lies nearer by as much as the wall takes up; by more than half a
+joint where the wall is the lighter one. The near rim is seen in any case, and the joint's middle lies half a
+width beyond it. A strip of three parts measures that, once all joints that are seen from one side have told
+how high the light reaches and how light the wall is. The width it cannot tell: it is that of the joints which
+show more of themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from autoreg.fitting.bare_steps import across_slope
+from autoreg.fitting.fit import Fit
+from autoreg.joints.joint_looks import Strip
+from autoreg.joints.strips import INDEPENDENT, edge, single
+
+# Joints seen from above, below this slope, show their beds whole, and say little where half are below the
+# other; those in fewer blurs show no parts.
+LEAST_SLOPE, LEAST_MEDIAN_SLOPE, LEAST_BLURS = 0.15, 0.3, 2.0
+# How high the light reaches, in widths, and the wall's tones against the slabs' that are tried; at first the
+# pairs of these numbers.
+HEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4)
+WALLS = (0.9, 0.95, 1.0, 1.03, 1.06, 1.12, 1.18, 1.25, 1.4)
+AT_FIRST = ((0, 1), (0, 5), (2, 2), (5, 1))
+# So many joints tell both, at least and at most.
+FEWEST, SAMPLE = 12, 60
+# Places that are tried, from where a strip of one tone was found: as far as this share of the width and so
+# many pixels, in so many steps either way.
+FARTHEST, FARTHEST_PX, STEPS = 0.6, 0.5, 12
+# Three parts must be so much likelier than one; where they are so much less likely at first, no others are
+# tried.
+LEAST_NATS, HOPELESS_NATS = 20.0, -40.0
+# Joints that look narrower than this share of those across them, or light where those are dark, may well hide
+# a part: so much likelier is enough for them.
+NARROWER, LEAST_NATS_HIDING = 0.9, 5.0
+# Roughness of slabs that no profile is without, as a share of their tone.
+ROUGH = 0.02
+# Keeps tones of parts that are hidden finite.
+RIDGE = 1e-3
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Profiles across the joints of one family that are seen from one side, away from the camera.
+
+    `away_px` are the samples' places from where the joints were found, `tones` their grey levels in those of
+    the slabs.
+    """
+
+    away_px: Float[np.ndarray, "n p"]
+    tones: Float[np.ndarray, "n p"]
+    weight: Float[np.ndarray, "n p"]
+    px_per_unit: Float[np.ndarray, " n"]
+    slope: Float[np.ndarray, " n"]
+    blur_px: float
+
+    def take(self, rows: Int[np.ndarray, " k"]) -> _Side:
+        """Some of the joints."""
+        return replace(
+            self,
+            away_px=self.away_px[rows],
+            tones=self.tones[rows],
+            weight=self.weight[rows],
+            px_per_unit=self.px_per_unit[rows],
+            slope=self.slope[rows],
+        )
+
+
+def beside_lit_walls(fit: Fit) -> Fit:
+    """The fit with the middles of sunk joints measured by strips of three parts, where these are seen."""
+    slope, width = across_slope(fit), _full_width(fit)
+    for family in np.unique(fit.stations.family):
+        for way in (-1.0, 1.0):
+            seen = fit.usable & (fit.stations.family == family) & (way * slope > LEAST_SLOPE)
+            rows = np.flatnonzero(seen)
+            if not len(rows):
+                continue
+            side = _side_of(fit, rows, way, slope, width)
+            looks = _looks_of(side, fit.strip, int(family), width)
+            if looks is not None:
+                fit = _measured(fit, rows, way, side, width, looks)
+    return fit
+
+
+def _looks_of(side: _Side, strip: Strip, family: int, width: float) -> tuple[float, float] | None:
+    """How high the light reaches and how light the wall is; None if that does not show."""
+    wide = np.flatnonzero(width * side.px_per_unit > LEAST_BLURS * side.blur_px)
+    if len(wide) < FEWEST or np.median(side.slope[wide]) < LEAST_MEDIAN_SLOPE:
+        return None
+    narrower = strip.width[family] < NARROWER * width
+    lighter = strip.polarity[family] > 0 > strip.polarity[1 - family]
+    least_nats = LEAST_NATS_HIDING if narrower or lighter else LEAST_NATS
+    return _likeliest_looks(side.take(wide), strip.width[family], width, least_nats)
+
+
+def _measured(
+    fit: Fit,
+    rows: Int[np.ndarray, " n"],
+    way: float,
+    side: _Side,
+    width: float,
+    looks: tuple[float, float],
+) -> Fit:
+    """The fit with the middles of one side's joints measured by strips of three parts."""
+    parts = np.array_split(np.arange(len(rows)), -(-len(rows) // SAMPLE))
+    farther = np.concatenate([_fitted(side.take(part), width, *looks)[1] for part in parts])
+    offset, sigma = fit.offsets.offset_px[rows] + way * farther, fit.offsets.sigma_px[rows]
+    rimmed = fit.rimmed.copy()
+    rimmed[rows] = True
+    return replace(fit.measured_at(rows, offset, sigma), rimmed=rimmed)
+
+
+def _full_width(fit: Fit) -> float:
+    """Width of the joints by the family that shows more of it: light walls are no joints among dark ones."""
+    dark = [w for w, sign in zip(fit.strip.width, fit.strip.polarity, strict=True) if sign < 0]
+    return max(dark or fit.strip.width)
+
+
+def _side_of(
+    fit: Fit, rows: Int[np.ndarray, " n"], way: float, slope: Float[np.ndarray, " s"], width: float
+) -> _Side:
+    profiles, blur = fit.profiles.take(rows), fit.strip.blur_px
+    away = way * (profiles.at_px - fit.offsets.offset_px[rows][:, None])
+    reach = 0.5 * width * profiles.px_per_unit + 3.0 * blur + 2.0
+    weight = np.clip(reach[:, None] + 0.5 - np.abs(away), 0.0, 1.0)
+    weight *= np.abs(profiles.at_px) <= profiles.room_px[:, None]
+    values = profiles.values.astype(float)
+    level = (weight * values).sum(1) / weight.sum(1)
+    some = (weight > 0).any(0)
+    return _Side(
+        away[:, some],
+        values[:, some] / level[:, None],
+        weight[:, some],
+        profiles.px_per_unit,
+        np.abs(slope[rows]),
+        blur,
+    )
+
+
+def _likeliest_looks(
+    side: _Side, own_width: float, width: float, least_nats: float
+) -> tuple[float, float] | None:
+    """How high the light reaches and how light the wall is; None if strips of one tone fit as well.
+
+    Climbs from the best of a few guesses over the values that are tried.
+    """
+    # The widest show their parts best; every other one of them, so that they are not all of the same slabs.
+    widest = np.argsort(-side.px_per_unit, kind="stable")
+    side = side.take(np.sort(widest[: 2 * SAMPLE : 2 if len(widest) > SAMPLE else 1]))
+    values = 0.5 * INDEPENDENT * side.weight.sum(1)
+    plain = min(float(values @ _fitted(side, each, 0.0, 1.0)[0]) for each in {own_width, width})
+
+    @cache
+    def nats(height: int, wall: int) -> float:
+        if not (0 <= height < len(HEIGHTS) and 0 <= wall < len(WALLS)):
+            return -np.inf
+        return plain - float(values @ _fitted(side, width, HEIGHTS[height], WALLS[wall])[0])
+
+    best = max(AT_FIRST, key=lambda looks: nats(*looks))
+    if nats(*best) < HOPELESS_NATS:
+        return None
+    while True:
+        h, w = best
+        better = max(((h, w), (h - 1, w), (h + 1, w), (h, w - 1), (h, w + 1)), key=lambda looks: nats(*looks))
+        if better == best:
+            break
+        best = better
+    return (HEIGHTS[best[0]], WALLS[best[1]]) if nats(*best) > least_nats else None
+
+
+def _fitted(
+    side: _Side, width: float, height: float, wall: float
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Logarithm of each profile's unexplained variance, and the place at which least is left.
+
+    The tones of both slabs and of the dark part are free, the wall's is a multiple of the slabs' mean.
+    """
+    blur, wide = side.blur_px, width * side.px_per_unit
+    every = (FARTHEST * wide + FARTHEST_PX) / STEPS
+    places = every[:, None] * np.arange(-STEPS, STEPS + 1)
+    at = (side.away_px[:, None, :] - places[..., None]) / blur
+    edges = wide[:, None, None] / blur
+    lit = np.minimum(height * side.slope, 1.0)[:, None, None]
+    near, far = (edge(single(at + way * 0.5 * edges))[0] for way in (1.0, -1.0))
+    wall_begins = edge(single(at - (0.5 - lit) * edges))[0] if height else far
+    shared = np.float32(0.5 * wall) * (wall_begins - far)
+    # What each tone, beyond that of the slabs on the whole, adds to a profile.
+    parts = np.stack([1.0 - near + shared, far + shared, near - wall_begins], -2)
+    lighter = np.float32(wall - 1.0) * (wall_begins - far)
+    left = single(side.tones - 1.0)[:, None, :] - lighter
+    weighted = parts * single(side.weight)[:, None, None, :]
+    normal = (weighted @ parts.swapaxes(-1, -2)).astype(float)
+    samples = side.weight.sum(1)
+    normal[..., range(3), range(3)] += RIDGE * samples[:, None, None]
+    right = (weighted @ left[..., None]).astype(float)
+    explained = (right * np.linalg.solve(normal, right)).sum((-2, -1))
+    total = np.einsum("np,nkp,nkp->nk", single(side.weight), left, left).astype(float)
+    squares = np.maximum(total - explained, 0.0) / samples[:, None]
+    best = np.clip(squares.argmin(1), 1, 2 * STEPS - 1)
+    rows = np.arange(len(best))
+    before, least, after = (squares[rows, best + k] for k in (-1, 0, 1))
+    bend = before - 2.0 * least + after
+    beyond = np.where(bend > 0, 0.5 * (before - after) / np.where(bend > 0, bend, 1.0), 0.0)
+    beyond = np.clip(beyond, -1.0, 1.0)
+    least = least - 0.25 * (before - after) * beyond
+    return np.log(np.maximum(least, 0.0) + ROUGH**2), every * (best - STEPS + beyond)

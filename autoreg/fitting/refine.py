@@ -1,0 +1,292 @@
+"""Refinement: projected joints are laid on the photographed ones and measured again, until all is still."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from autoreg.camera import Camera
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.scatter import beside_rim, scatter_model
+from autoreg.geometry import Rigid
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import ALONG_X, Grid, visible_sides
+from autoreg.ground.stations import Stations, place_stations
+from autoreg.joints.edges import Offsets, fit_offsets
+from autoreg.joints.joint_looks import (
+    DARK,
+    Strip,
+    bloom_px,
+    estimate_strip,
+    first_look,
+    joint_polarity,
+    middle_px,
+    projected_width_px,
+    search_joints,
+    width_px_of,
+)
+from autoreg.joints.profiles import Profiles, sample_profiles
+from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
+from autoreg.solve.joint_data import JointData
+from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, solve_joints
+
+# Solves per round, each with the scatter that the one before left; and the widest search, in slab sides, that
+# finds the joints for good.
+SOLVES, NARROW = 2, 0.04
+# A slab's side is at least this part of the camera's height, and at most as many times it.
+MOST_SIDES = 200.0
+# Where joints are neither dark nor light, those whose contrast, against the light around them, is below this
+# part of what is usual are none.
+FAINT = 0.1
+# What is seen on either side of a joint, and the farthest that profiles reach for wide ones, in pixels.
+SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
+# ... and where nothing is known of the joints.
+UNKNOWN_HALF_PX = 16.0
+# Where what is near must bring the farther joints within reach: how far to look, in camera heights, and the
+# half width of the first search, in slab sides.
+FROM_THE_FEET, WIDE_SEARCH = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0), 0.15
+# A motion by less than this share of the joints' median distance from their lines does not matter.
+STILL_SHARE = 0.02
+
+
+def refine(
+    picture: Float[np.ndarray, "h w"],
+    camera: Camera,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    *,
+    free: Free,
+    search: float,
+    reaches: tuple[float, ...],
+    strip: Strip | None = None,
+    field: Float[np.ndarray, "k 2"] | None = None,
+    limit: int = CAPACITY,
+    steady_px: float = 0.0,
+) -> Fit | None:
+    """The pose at which the projected joints lie on the photographed ones; None if nothing can be measured.
+
+    Args:
+        picture: grey levels that `camera` belongs to.
+        camera: its camera.
+        cam_from_ground: start; the lattice's unit is that of its translation.
+        grid: start of the lattice.
+        free: what else is solved for.
+        search: half width of the first search, in slab sides; 0 starts from the predicted places.
+        reaches: how far to look in each round, in camera heights.
+        strip: looks of the joints, if known.
+        field: where on the ground the paving is, a convex polygon; everywhere if None.
+        limit: the most stations that are measured.
+        steady_px: the rounds end with the first one that moves the joints by less than this (RMS).
+    """
+    fit: Fit | None = None
+    for reach in reaches:
+        before = (camera, cam_from_ground, grid)
+        now = _round(picture, camera, cam_from_ground, grid, strip, free, search, reach, field, limit)
+        if now is None:
+            return fit
+        fit = now
+        camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
+        search = 0.5 * search if search >= 0.06 else 0.0
+        if steady_px and _motion_px(fit, *before) < steady_px:
+            break
+    return fit
+
+
+def refine_until_still(
+    picture: Float[np.ndarray, "h w"],
+    camera: Camera,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    *,
+    free: Free,
+    search: float,
+    reach: float,
+    strip: Strip | None = None,
+    field: Float[np.ndarray, "k 2"] | None = None,
+    still_px: float = 0.003,
+    most_rounds: int = 6,
+) -> Fit | None:
+    """Like `refine` at one reach, measured again until no joint moves by more than `still_px` (RMS).
+
+    Where the joints lie less even, a part of how far they are off their lines is still enough.
+    """
+    fit: Fit | None = None
+    for _ in range(most_rounds):
+        before = (camera, cam_from_ground, grid)
+        fit = refine(picture, *before, free=free, search=search, reaches=(reach,), strip=strip, field=field)
+        if fit is None:
+            return None
+        settled = strip is not None and fit.strip.like(strip)
+        camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
+        enough_px = max(still_px, STILL_SHARE * float(np.median(np.abs(fit.distances_px[fit.usable]))))
+        if not search and settled and _motion_px(fit, *before) < enough_px:
+            break
+        search = 0.0
+    return fit
+
+
+def _motion_px(fit: Fit, camera: Camera, pose: Rigid, grid: Grid) -> float:
+    """RMS motion, across the joints, of the fit's stations from an earlier state."""
+    a = (fit.grid.spacing_x or 1.0) / (grid.spacing_x or 1.0)
+    stretched_ground = fit.stations.ground * [a, fit.grid.spacing_y / grid.spacing_y]
+    now = project_ground(fit.camera, fit.cam_from_ground, stretched_ground)
+    was = project_ground(camera, pose, fit.stations.ground)
+    across = ((now - was) * fit.profiles.normal).sum(1)
+    return float(np.sqrt(np.mean(across**2)))
+
+
+def _round(
+    picture: np.ndarray,
+    camera: Camera,
+    pose: Rigid,
+    grid: Grid,
+    strip: Strip | None,
+    free: Free,
+    search: float,
+    reach: float,
+    field: np.ndarray | None,
+    limit: int,
+) -> Fit | None:
+    sides = visible_sides(camera, pose, grid, reach=reach, field=field)
+    if len(sides) < 6:
+        return None
+    stations = place_stations(sides, camera, pose, limit=limit)
+    side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
+    across = np.where(stations.family == ALONG_X, side[1], side[0])
+    least = 10.0 if search else 7.0
+    if strip is None:
+        # As wide as joints can be that nothing is known of, but clear of the neighbours.
+        slab_px = projected_width_px(camera, pose, stations, (side[1], side[0]))
+        half = np.clip(0.35 * slab_px, least, UNKNOWN_HALF_PX)
+    else:
+        wide_px = projected_width_px(camera, pose, stations, strip.width)
+        half = np.clip(0.5 * wide_px + SHOULDERS_PX, least, WIDEST_HALF_PX)
+    profiles = sample_profiles(picture, camera, pose, stations, half + 3.0)
+    pitch_px = across * profiles.px_per_unit
+    reach_px = np.clip(search * pitch_px, 1.5, least) if search else np.full(len(stations), 1.5)
+    known = strip is not None
+    if strip is None:
+        strip = Strip((0.02 * side[1], 0.02 * side[0]), 0.9)
+        start, strip = first_look(profiles, stations, strip, side, reach_px)
+    elif search:
+        start = search_joints(profiles, stations, strip, reach_px)
+    else:
+        start = np.zeros(len(stations))
+    widest_px = 2 * (half - SHOULDERS_PX + 3.0)
+    # Joints of unknown looks are measured again with the looks that the first measurement told, and so are
+    # those that are found for good where they look otherwise than thought.
+    offsets, usable = None, None
+    rough = search > NARROW
+    for _ in range(2 if not known or (search and not rough) else 1):
+        thought = strip
+        measured = _measured(profiles, stations, start, strip, widest_px, reach_px, side, known=known)
+        if measured is None:
+            return None
+        offsets, usable, strip = measured
+        start = offsets.offset_px
+        if known and strip.like(thought):
+            break
+    assert offsets is not None
+    assert usable is not None
+    middle = middle_px(camera, pose, stations, profiles.normal, strip)
+    offsets = replace(offsets, offset_px=offsets.offset_px - middle)
+    bloom = bloom_px(offsets, stations, strip, usable)
+    offsets = replace(offsets, offset_px=offsets.offset_px - bloom)
+    sigma = np.hypot(offsets.sigma_px, 0.3)
+    fit: Fit | None = None
+    # While joints are searched farther off the next round solves again.
+    for _ in range(1 if rough else SOLVES):
+        data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
+        solution = solve_joints(data, free.mask, free.prior(camera), rough=rough)
+        moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
+        if solution.outcome == "diverged" or not _plausible(moved, new_grid):
+            return fit
+        distances = solution.distances_px
+        if not search:
+            usable = usable & ~beside_rim(distances, profiles.px_per_unit * across, stations, usable)
+        sigma = scatter_model(distances, offsets.sigma_px, profiles.px_per_unit, stations.side, usable)
+        fit = Fit(
+            camera=moved_camera(camera, solution),
+            cam_from_ground=moved,
+            grid=new_grid,
+            strip=strip,
+            stations=stations,
+            profiles=profiles,
+            offsets=offsets,
+            distances_px=distances,
+            sigma_px=sigma,
+            usable=usable,
+            solution=solution,
+            free=free,
+            rimmed=np.zeros(len(stations), dtype=bool),
+        )
+    return fit
+
+
+def _plausible(pose: Rigid, grid: Grid) -> bool:
+    """Whether a lattice may be one of slabs: a solve with nothing to hold it can run away."""
+    height = float(pose.origin_in_a[2])
+    sides = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y]) / height
+    return bool(height > 0 and (sides > 1.0 / MOST_SIDES).all() and (sides < MOST_SIDES).all())
+
+
+def _measured(
+    profiles: Profiles,
+    stations: Stations,
+    start: np.ndarray,
+    strip: Strip,
+    widest_px: np.ndarray,
+    reach_px: np.ndarray,
+    side: np.ndarray,
+    *,
+    known: bool,
+) -> tuple[Offsets, np.ndarray, Strip] | None:
+    """Offsets from a start, which of them can be used, and the joints' looks by those; None if too few.
+
+    Looks that are `known` change little.
+    """
+    width_px = width_px_of(strip, stations, profiles)
+    offsets = fit_offsets(profiles, start, np.minimum(width_px, widest_px), strip.blur_px)
+    usable = (offsets.strength > 0.25) & np.isfinite(offsets.offset_px)
+    usable &= np.abs(offsets.offset_px) < reach_px + 1.5
+    if known:
+        # A strip that is too narrow holds on to one edge.
+        usable &= width_px <= widest_px
+    polarity = strip.polarity
+    if not strip.polarity_known:
+        polarity = joint_polarity(profiles, stations, offsets.offset_px, strip, side)
+    sign = np.array(polarity)[stations.family]
+    usable &= (sign == 0) | (offsets.depth * sign > 0)
+    contrast = (np.abs(offsets.depth) + 0.5 * np.abs(offsets.step)) / (profiles.values.mean(1) + DARK)
+    if usable.any():
+        usable &= (sign != 0) | (contrast > FAINT * np.median(contrast[usable]))
+    if usable.sum() < 12:
+        return None
+    strip = replace(strip, polarity=polarity)
+    strip = estimate_strip(profiles, offsets, stations, strip, usable, side, thorough=not known)
+    return offsets, usable, strip
+
+
+def joint_data(
+    camera: Camera,
+    pose: Rigid,
+    stations: Stations,
+    profiles: Profiles,
+    offsets: Offsets,
+    sigma_px: Float[np.ndarray, " n"],
+    usable: Bool[np.ndarray, " n"],
+) -> JointData:
+    """The measured joints in the solver's form."""
+    height = float(pose.origin_in_a[2])
+    return JointData(
+        ground=stations.ground,
+        measured_px=profiles.centre_px + offsets.offset_px[:, None] * profiles.normal,
+        normal=profiles.normal,
+        weight=usable / (CAUCHY_SIGMAS * sigma_px),
+        R=pose.R,
+        t=pose.t,
+        intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.dist]),
+        scale=np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, camera.fx, camera.fx, 1.0]),
+    )

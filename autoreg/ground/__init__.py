@@ -1,0 +1,1 @@
+"""The ground seen by a camera: where it may lie, its rectified picture, and where a lattice shows on it."""

@@ -1,0 +1,282 @@
+"""Candidates for the orientation of the paved ground, from segments alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from autoreg.camera import Camera
+from autoreg.ground.directions import (
+    CUTOFF_SIGMAS,
+    SegmentRays,
+    agreement,
+    camera_rays,
+    segment_rays,
+    single_directions,
+)
+from autoreg.ground.frames import FrameFit, fit_step, frames_of_pairs, frames_through, image_dirs, memberships
+from autoreg.segments import Segments
+
+# A camera is not rolled further than this, unless it looks down so steeply that roll means nothing.
+MAX_ROLL_RAD = np.radians(50.0)
+STEEP_RAD = np.radians(42.0)
+# Beyond this a plane seen steeply is taken for a wall if it is turned about a joint direction that is plumb
+# in the picture: a camera held level shows walls so.
+FRONTAL_RAD, PLUMB_RAD = np.radians(25.0), np.radians(2.5)
+# Hands hold cameras level to so much.
+LEVEL_RAD = np.radians(6.0)
+# The longest so many segments find the candidates; all of them score the survivors.
+VOTERS = 350
+# So many of another direction than the strongest one take part in any case.
+OTHER_VOTERS = 150
+# Candidates looked at for repetitions, and candidates fitted; a longer list asked for finds no more.
+STARTED, FITTED = 192, 60
+# Joints this close to the horizon are too short to be seen as joints.
+MIN_DEPRESSION = 0.02
+# A plane seen more steeply than this may be a wall seen from the front as well.
+WALL_LIKE_RAD = np.radians(65.0)
+# What a candidate's support is worth by how far the camera would look down: less where it may be a wall.
+PITCH_RAD = np.radians([60.0, 80.0])
+PITCH_WORTH = np.array([1.0, 0.5])
+# Two candidates whose directions both share this much of their segments (a cosine) are one.
+REPETITION = 0.8
+# Without a camera: long side / focal length spread about that of a 32 mm lens on 36 mm film.
+LOG_FOCAL_PRIOR = (float(np.log(0.9)), 0.3)
+# Joints of one family share errors (of laying, of the lens), so that this many segments tell as much of the
+# focal length as one would alone; without it two nearly parallel families claim to know it.
+SHARED_ERRORS = 5.0
+FOCAL_GRID = np.exp(np.linspace(np.log(0.4), np.log(2.2), 9))
+
+
+@dataclass(frozen=True)
+class GroundHypothesis:
+    """One candidate for the ground's orientation.
+
+    `R` is the rotation of cam_from_ground: its columns are the two paving directions and the up normal, in
+    camera axes. +Y is the direction that points most away from the camera. `sigma_rad` is the standard
+    deviation of the rotation about the camera's axes, for the segments' own noise. `support_px` is the length
+    of the segments that agree, per direction; hypotheses are ranked by `score`. `sigma_log_focal` is the
+    standard deviation of the logarithm of a focal length that was estimated with the frame: that of the
+    prior (0.3) where the photo says nothing of it; None where the focal length was given.
+    """
+
+    R: Float[np.ndarray, "3 3"]
+    sigma_rad: Float[np.ndarray, "3"]
+    support_px: Float[np.ndarray, "2"]
+    score: float
+    sigma_log_focal: float | None = None
+
+
+def ground_planes(
+    segments: Segments, camera: Camera, *, max_hypotheses: int = 12
+) -> tuple[GroundHypothesis, ...]:
+    """Ranked candidates for the paved ground's two joint directions; empty where nothing supports any."""
+    rays = camera_rays(segments, camera)
+    found = _search(rays, np.array([0.0]), None, max_hypotheses)
+    return tuple(_hypothesis(found, k) for k in range(len(found.score)))
+
+
+def ground_planes_unknown_focal(
+    segments: Segments, width: int, height: int, *, max_hypotheses: int = 12
+) -> tuple[tuple[GroundHypothesis, float], ...]:
+    """Ranked (candidate, focal length in pixels); the principal point is taken at the picture's centre."""
+    nominal_px = float(max(width, height))
+    centre = 0.5 * (np.array([width, height]) - 1.0)
+    rays = segment_rays(segments, (segments.ends_px - centre) / nominal_px, nominal_px)
+    found = _search(rays, np.log(FOCAL_GRID), LOG_FOCAL_PRIOR, max_hypotheses)
+    focal_px = nominal_px * np.exp(found.fit.log_focal)
+    scale = float(np.sqrt(SHARED_ERRORS))
+    return tuple((_hypothesis(found, k, scale), float(focal_px[k])) for k in range(len(found.score)))
+
+
+def like_wall(R: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether a ground looks like a wall: its joints lie level in the picture, and it faces the camera.
+
+    Or its horizon lies below, as that of a wall does which the camera looks down on.
+    """
+    level = np.abs(R[0, :2]).min() < np.sin(LEVEL_RAD)
+    return bool(level and (-R[2, 2] > np.cos(FRONTAL_RAD) or R[1, 2] > 0))
+
+
+@dataclass(frozen=True)
+class _Found:
+    fit: FrameFit
+    support_px: Float[np.ndarray, "k 2"]
+    score: Float[np.ndarray, " k"]
+
+
+def _hypothesis(found: _Found, k: int, sigma_scale: float | None = None) -> GroundHypothesis:
+    sigma = np.sqrt(np.maximum(np.diag(np.linalg.pinv(found.fit.information[k])), 0.0))
+    return GroundHypothesis(
+        found.fit.R[k],
+        sigma[:3],
+        found.support_px[k],
+        float(found.score[k]),
+        None if sigma_scale is None else float(sigma[3] * sigma_scale),
+    )
+
+
+def _search(
+    rays: SegmentRays,
+    log_focals: Float[np.ndarray, " g"],
+    prior: tuple[float, float] | None,
+    max_hypotheses: int,
+) -> _Found:
+    """Fitted frames, best first. The prior is the mean and spread of the logarithm of the focal length."""
+    voters = _voters(rays)
+    seeds = _seeds(voters) if len(voters) else np.zeros(0, int)
+    first = single_directions(voters, seeds, count=24, apart_rad=np.radians(2.0))
+    fit = frames_through(voters, first, log_focals, peaks=5 if prior is None else 3, may_vote=_lies_on_ground)
+    if prior is not None:
+        fit = fit.joined(frames_of_pairs(first, (float(log_focals[0]), float(log_focals[-1]))))
+    fit = FrameFit(_canonical(fit.R), fit.log_focal, fit.information)
+    fit = fit.take(np.flatnonzero(_possible(fit.R)))
+    member = _members(voters, fit)
+    _, score = _score(voters, fit, member, prior)
+    order = _both_kinds(fit.R, np.argsort(-score, kind="stable"), STARTED)
+    order = order[_distinct_frames(member[order], voters.weight, 0.95)]
+    fit = fit.take(_both_kinds(fit.R, order, FITTED))
+    fit_prior = None if prior is None else (prior[0], prior[1] / np.sqrt(SHARED_ERRORS))
+    for _ in range(5):
+        allowed = _below_horizon(voters, fit)
+        fit = fit_step(voters, fit, 2, allowed, log_focal_prior=fit_prior)
+    fit = FrameFit(_canonical(fit.R), fit.log_focal, fit.information)
+    fit = fit.take(np.flatnonzero(_possible(fit.R)))
+    member = _members(rays, fit)
+    support, score = _score(rays, fit, member, prior)
+    order = np.argsort(-score, kind="stable")
+    order = order[score[order] > 0]
+    order = order[_distinct_frames(member[order], rays.weight, REPETITION)]
+    order = _both_kinds(fit.R, order, max_hypotheses)
+    return _Found(fit.take(order), support[order], score[order])
+
+
+def _voters(rays: SegmentRays) -> SegmentRays:
+    """The longest segments, and the longest of those that the strongest direction does not explain.
+
+    Unbroken joints are long and many; beside them the short cross joints would have no say.
+    """
+    longest = np.arange(min(len(rays), VOTERS))
+    if len(rays) <= VOTERS:
+        return rays
+    strongest = single_directions(rays.take(longest), longest[:40], count=1, apart_rad=np.radians(2.0))
+    if not len(strongest):
+        return rays.take(longest)
+    others = np.flatnonzero(agreement(rays, strongest)[0] == 0.0)[:OTHER_VOTERS]
+    return rays.take(np.union1d(longest, others))
+
+
+def _seeds(rays: SegmentRays, count: int = 80) -> np.ndarray:
+    """The longest segments of the picture and the longest of its lower part, where the ground is."""
+    lower = np.flatnonzero(rays.middle[:, 1] > np.median(rays.middle[:, 1]))
+    return np.unique(np.concatenate([np.arange(min(len(rays), count)), lower[:count]]))
+
+
+def _lies_on_ground(
+    normal: Float[np.ndarray, "k n 3"], ends: Float[np.ndarray, "k n 2 3"]
+) -> Bool[np.ndarray, "k n"]:
+    """Whether segments lie below the horizon of a plane, one for each, that can be a ground."""
+    up = np.where(_upside_down(normal)[..., None], -normal, normal)
+    height = np.einsum("knej,knj->kne", ends, up)
+    return (np.maximum(height[..., 0], height[..., 1]) < -MIN_DEPRESSION) & _possible_up(up)
+
+
+def _upside_down(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
+    """Whether a plane's normal points away from a camera that stands above it."""
+    steep = np.abs(up[..., 2]) > np.cos(STEEP_RAD)
+    return np.where(steep, up[..., 2] > 0, up[..., 1] > 0)
+
+
+def _possible_up(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
+    """Whether the normal of a ground, pointing to the camera's side, has a roll that cameras have."""
+    steep = up[..., 2] < -np.cos(STEEP_RAD)
+    return steep | (np.abs(up[..., 0]) < np.tan(MAX_ROLL_RAD) * -up[..., 1])
+
+
+def _possible(R: Float[np.ndarray, "k 3 3"]) -> Bool[np.ndarray, " k"]:
+    up, joints = R[:, :, 2], R[:, :, :2]
+    plumb = (np.abs(joints[:, 1]).max(1) > 0.7) & (np.abs(joints[:, 0]).min(1) < np.sin(PLUMB_RAD))
+    sideways = np.abs(up[:, 0]) > np.abs(up[:, 1])
+    wall = (np.abs(up[:, 2]) < np.cos(FRONTAL_RAD)) & sideways & plumb
+    return _possible_up(up) & ~wall
+
+
+def _canonical(R: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3 3"]:
+    """The same frames turned by quarter turns until +Y points most away from the camera, Z to its side."""
+    up = np.where(_upside_down(R[:, :, 2])[:, None], -R[:, :, 2], R[:, :, 2])
+    # Away is forward for a level camera and up in the picture for one that looks straight down.
+    away = np.array([0.0, -1.0, 1.0])
+    ways = np.stack([R[:, :, 0], R[:, :, 1], -R[:, :, 0], -R[:, :, 1]], 1)
+    Y = ways[np.arange(len(R)), (ways @ away).argmax(1)]
+    return np.stack([np.cross(Y, up), Y, up], 2)
+
+
+def _below_horizon(rays: SegmentRays, fit: FrameFit) -> Bool[np.ndarray, "k n"]:
+    """Segments that lie wholly on the ground's side of its horizon."""
+    up = fit.R[:, :, 2].copy()
+    up[:, :2] *= np.exp(-fit.log_focal)[:, None]
+    return np.maximum(up @ rays.ends[:, 0].T, up @ rays.ends[:, 1].T) < -MIN_DEPRESSION
+
+
+def _members(rays: SegmentRays, fit: FrameFit) -> Float[np.ndarray, "k 2 n"]:
+    return memberships(rays, image_dirs(fit.R, fit.log_focal, 2), _below_horizon(rays, fit))
+
+
+def _score(
+    rays: SegmentRays,
+    fit: FrameFit,
+    member: Float[np.ndarray, "k 2 n"],
+    prior: tuple[float, float] | None,
+) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
+    """Supporting length per direction, and the score: what chance alone would support is taken off.
+
+    A wall shares one direction with the ground, so the weaker of the two directions counts most.
+    """
+    below = _below_horizon(rays, fit)
+    support = member @ rays.weight
+    chance = np.minimum(1.0, (4 / (3 * np.pi)) * CUTOFF_SIGMAS * rays.sigma / rays.half_length)
+    excess = support - (below * chance) @ rays.weight[:, None]
+    low, high = excess.min(1), excess.max(1)
+    score = np.where(low > 0, low + 0.1 * high, 0.1 * low)
+    pitch = np.arcsin(np.clip(-fit.R[:, 2, 2], -1.0, 1.0))
+    score = np.interp(pitch, PITCH_RAD, PITCH_WORTH) * score
+    if prior is not None:
+        mean, spread = prior
+        score = score * np.exp(-0.5 * ((fit.log_focal - mean) / (2.5 * spread)) ** 2)
+    return support, score
+
+
+def _both_kinds(R: Float[np.ndarray, "k 3 3"], order: np.ndarray, count: int) -> np.ndarray:
+    """The first `count` of an order, with room kept for planes seen steeply and for planes seen obliquely.
+
+    Without it a wall seen from the front, which only the pixels can tell from a floor seen from above,
+    would fill the list with its variants.
+    """
+    steep = -R[order, 2, 2] > np.sin(WALL_LIKE_RAD)
+    rank = np.where(steep, np.cumsum(steep), np.cumsum(~steep))
+    quota = max(count - count // 2, count - min(np.count_nonzero(steep), np.count_nonzero(~steep)))
+    return order[rank <= quota][:count]
+
+
+def _distinct_frames(
+    member: Float[np.ndarray, "k 2 n"], weight: Float[np.ndarray, " n"], repetition: float
+) -> np.ndarray:
+    """Index of the frames that are no repetition of an earlier one: that rest on other segments.
+
+    Two frames may differ by degrees (or in focal length, where the photo says little of it) and still
+    explain the same segments; the angle between them says less than what they share.
+    """
+    share = np.sqrt(member * weight)
+    share /= np.linalg.norm(share, axis=2, keepdims=True) + 1e-12
+    x, y = share[:, 0], share[:, 1]
+    alike = np.maximum(np.minimum(x @ x.T, y @ y.T), np.minimum(x @ y.T, y @ x.T))
+    kept: list[int] = []
+    free = np.ones(len(alike), bool)
+    while free.any():
+        first = int(np.argmax(free))
+        kept.append(first)
+        free &= alike[first] < repetition
+        free[first] = False
+    return np.array(kept, int)

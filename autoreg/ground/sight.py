@@ -1,0 +1,71 @@
+"""What is seen of a photo before anything is known of its ground: its segments, and looks at its gradient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from autoreg.ground.rectify import Gradient, picture_gradient
+from autoreg.image import pyramid
+from autoreg.segments import Detection, Segments, begin_detection
+
+# Joints are found at this size, and measured at the photo's own.
+DETECTION_PIXELS = 600_000
+# Size of the first look, and its and the second look's numbers of rows on the ground.
+COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
+
+
+@dataclass(frozen=True)
+class Look:
+    """A picture's gradient, and the number of rows and columns that sample the ground from it."""
+
+    gradient: Gradient
+    lines: int
+
+
+@dataclass(frozen=True)
+class Looks:
+    """A photo at detection scale: its grey levels, and a coarse and a fine look at it.
+
+    Directions of rough joints, and lenses that bend them, leave lines some pixels askew, which blurs a fine
+    profile of the ground more than a coarse one.
+    """
+
+    picture: Float32[np.ndarray, "h w"]
+    coarse: Look
+    fine: Look
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A photo's grey levels, its looks at detection scale, and its segments in its own pixels."""
+
+    gray: UInt8[np.ndarray, "h w"]
+    looks: Looks
+    detection: Detection
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The photo's width and height."""
+        return self.gray.shape[1], self.gray.shape[0]
+
+    @property
+    def segments(self) -> Segments:
+        """The segments of all levels, as soon as they are there."""
+        return self.detection.all
+
+
+def see(gray: UInt8[np.ndarray, "h w"]) -> Sight:
+    """What is to be seen in a photo."""
+    detection = begin_detection(gray)
+    return Sight(gray, looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detection)
+
+
+def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:
+    """Both looks at a picture at detection scale."""
+    coarse = picture_gradient(pyramid(small, COARSE_PIXELS)[0])
+    return Looks(
+        small.astype(np.float32), Look(coarse, COARSE_LINES), Look(picture_gradient(small), FINE_LINES)
+    )

@@ -1,0 +1,73 @@
+"""Where joints are looked for in the picture: stations along every visible slab side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import ALONG_X, Sides
+
+
+@dataclass(frozen=True)
+class Stations:
+    """Short stretches of joint, each measured as one: centre on the ground, and which side it is of."""
+
+    ground: Float[np.ndarray, "n 2"]
+    half_length: Float[np.ndarray, " n"]
+    family: Int[np.ndarray, " n"]
+    line: Int[np.ndarray, " n"]
+    cell: Int[np.ndarray, " n"]
+    side: Int[np.ndarray, " n"]
+
+    def __len__(self) -> int:
+        """Number of stations."""
+        return len(self.family)
+
+    def take(self, index: np.ndarray) -> Stations:
+        """The chosen stations."""
+        return Stations(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    @property
+    def direction(self) -> Float[np.ndarray, "n 2"]:
+        """Unit direction on the ground."""
+        return np.where(self.family[:, None] == ALONG_X, [[1.0, 0.0]], [[0.0, 1.0]])
+
+
+def place_stations(
+    sides: Sides,
+    camera: Camera,
+    cam_from_ground: Rigid,
+    *,
+    length_px: float = 24.0,
+    limit: int = 2048,
+    margin: float = 0.1,
+) -> Stations:
+    """Stations of about `length_px` along each side, clear of the crossings at its ends.
+
+    Where they would be more than `limit`, they are spread over all sides by leaving out every so many.
+    """
+    px = project_ground(camera, cam_from_ground, sides.ends)
+    usable = (1 - 2 * margin) * np.linalg.norm(px[:, 1] - px[:, 0], axis=1)
+    count = np.clip(np.round(usable / length_px), 1, 12).astype(int)
+    side = np.repeat(np.arange(len(sides)), count)
+    nth = np.arange(len(side)) - np.repeat(np.cumsum(count) - count, count)
+    step = (1 - 2 * margin) / count[side]
+    fraction = margin + (nth + 0.5) * step
+    start, end = sides.ends[side, 0], sides.ends[side, 1]
+    stations = Stations(
+        ground=start + fraction[:, None] * (end - start),
+        half_length=0.5 * step * np.linalg.norm(end - start, axis=1),
+        family=sides.family[side],
+        line=sides.line[side],
+        cell=sides.cell[side],
+        side=side,
+    )
+    if len(stations) > limit:
+        keep = np.unique(np.linspace(0, len(stations) - 1, limit).astype(int))
+        stations = stations.take(keep)
+    return stations

@@ -1,0 +1,1 @@
+"""What a command does with a photo: files read, an answer found, files written."""

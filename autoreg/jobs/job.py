@@ -1,0 +1,194 @@
+"""One run of the command: a photo's file in, a folder of results out."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from importlib import import_module, resources
+from pathlib import Path
+
+from autoreg.alignment import Alignment
+from autoreg.camera import Camera, fit_to_photo
+from autoreg.camera_files import distrust, read_camera
+from autoreg.errors import Refusal, RenderError
+from autoreg.ground.sight import see
+from autoreg.image import Photo, load_photo
+from autoreg.jobs.outputs import clear_results, usable_folder, write_png, write_whole
+from autoreg.jobs.overlay import overlay_picture
+from autoreg.jobs.render_job import Wish, make_plan, read_wish, render_into, write_scene
+from autoreg.jobs.report import Report, aligned_report, refused_report, report_text
+from autoreg.rendering.objects import Scene
+from autoreg.rendering.render import EngineName
+
+# The picture that autoreg brings along, and the sides of the slabs in it.
+DEMO_NAME, DEMO_SLAB_M = "terrace", (0.5, 0.5)
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told about a run.
+
+    Attributes:
+        note: gets sentences that a person has to read.
+        doing: gets the name of each step as it begins.
+        progress: gets the part of a long step that is done, 0 to 1.
+    """
+
+    note: Callable[[str], None]
+    doing: Callable[[str], None]
+    progress: Callable[[float], None] = lambda part: None
+
+
+@dataclass(frozen=True)
+class Job:
+    """What one run was asked for.
+
+    Attributes:
+        photo: the photo's file.
+        folder: where the results go; made if missing.
+        camera: the camera's file, if there is one.
+        crop: x, y, w, h of the part of the calibrated frame that the photo shows.
+        slab: the slab's two sides in metres, in either order.
+        camera_height: the camera's height above the ground in metres.
+        engine: what renders, or None for no render.
+        wish: what the scene shows, and how.
+    """
+
+    photo: Path
+    folder: Path
+    camera: Path | None = None
+    crop: tuple[int, int, int, int] | None = None
+    slab: tuple[float, float] | None = None
+    camera_height: float | None = None
+    engine: EngineName | None = None
+    wish: Wish = field(default_factory=Wish)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended; `alignment` is None if the photo was refused."""
+
+    report: Report
+    alignment: Alignment | None
+    refusal: Refusal | None
+    render_error: RenderError | None
+    written: tuple[Path, ...]
+
+
+def demo_job(folder: Path, engine: EngineName | None) -> Job:
+    """The run on the picture that autoreg brings along."""
+    data = Path(str(resources.files("autoreg").joinpath("data")))
+    camera = data / f"{DEMO_NAME}.camera.json"
+    return Job(data / f"{DEMO_NAME}.jpg", folder, camera, slab=DEMO_SLAB_M, engine=engine)
+
+
+def run_job(job: Job, listener: Listener) -> Outcome:
+    """The outcome of a run, whose results are then in the folder.
+
+    Nothing is written before the photo is aligned or refused; the report is written once all that it
+    stands beside is there, and again with what the render adds.
+
+    Args:
+        job: what to do.
+        listener: is told what is being done.
+
+    Raises:
+        InputError: the photo, the camera or the folder cannot be used; nothing was written.
+    """
+    usable_folder(job.folder)
+    scene = read_wish(job.wish)
+    ended = threading.Event()
+    # No daemon: a process that ends while XLA compiles in such a thread is aborted. The command waits for it.
+    threading.Thread(target=_warm_up, args=(ended,)).start()
+    try:
+        return _aligned(job, scene, listener)
+    finally:
+        ended.set()
+
+
+def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
+    listener.doing("reading the photo")
+    photo = load_photo(job.photo)
+    camera = _camera_for(job, photo, listener)
+    listener.doing("aligning")
+    with ThreadPoolExecutor(1) as beside:
+        # Decoded and looked at while jax is imported and the solver fetched.
+        decoded = beside.submit(photo.colour)
+        sight = see(photo.gray)
+        pipeline = import_module("autoreg.align")
+        try:
+            alignment: Alignment = pipeline.align_seen(
+                sight,
+                camera,
+                slab=job.slab,
+                camera_height=job.camera_height,
+                exif_focal_px=photo.exif_focal_px,
+            )
+        except Refusal as refusal:
+            report = refused_report(job.photo, photo.width, photo.height, refusal, camera)
+            written = _write_report(job, report, fresh=True)
+            return Outcome(report, None, refusal, None, (written,))
+
+        listener.doing("drawing")
+        colour = decoded.result()
+        report = aligned_report(job.photo, alignment, None)
+        drawn = beside.submit(overlay_picture, alignment, colour)
+        plan = make_plan(job.wish, scene, alignment, colour, job.photo)
+        overlay = drawn.result()
+        job.folder.mkdir(parents=True, exist_ok=True)
+        clear_results(job.folder)
+        staged = beside.submit(write_scene, job.folder, plan)
+        written = [write_png(job.folder / "overlay.png", overlay), *staged.result()]
+    written.append(_write_report(job, report))
+    if job.engine is None:
+        return Outcome(report, alignment, None, None, tuple(written))
+    try:
+        made, pictures = render_into(
+            job.folder, plan, colour, job.wish, job.engine, listener.doing, listener.progress, listener.note
+        )
+    except RenderError as error:
+        return Outcome(report, alignment, None, error, tuple(written))
+    report = aligned_report(job.photo, alignment, made)
+    _write_report(job, report)
+    return Outcome(report, alignment, None, None, (*written, *pictures))
+
+
+def _warm_up(ended: threading.Event) -> None:
+    """Import the pipeline and compile its solver beside the reading of the photo, unless the run has ended.
+
+    A command may keep what it compiled for the next one, which a library must not do behind its user's back.
+    """
+    # A photo that cannot be read is told of before this.
+    if ended.wait(0.02):
+        return
+    solver = import_module("autoreg.solve.solver")
+    if not ended.is_set():
+        solver.warm_up(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "autoreg")
+
+
+def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:
+    """The camera from the job's file, made to fit the photo."""
+    if job.camera is None:
+        return None
+    camera, note = fit_to_photo(
+        read_camera(job.camera),
+        photo.width,
+        photo.height,
+        crop=job.crop,
+        photo_turned=photo.turned,
+        photo_mirrored=photo.mirrored,
+    )
+    for said in (note, distrust(job.camera)):
+        if said:
+            listener.note(said)
+    return camera
+
+
+def _write_report(job: Job, report: Report, *, fresh: bool = False) -> Path:
+    job.folder.mkdir(parents=True, exist_ok=True)
+    if fresh:
+        clear_results(job.folder)
+    return write_whole(job.folder / "alignment.json", report_text(report).encode())

@@ -1,0 +1,1 @@
+"""Joints measured: grey-level profiles across them, and the strips and edges fitted to these."""

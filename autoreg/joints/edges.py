@@ -1,0 +1,207 @@
+"""Sub-pixel places of the joints: each station's own grey-level profile across the joint.
+
+A joint is a strip between two slabs: left tone, joint tone, right tone, with two edges of opposite sign
+(or one edge where tiles of two tones meet without a joint). Its *centre* is what is measured, by a least
+squares fit of that blurred strip; matching one edge would leave half a joint width of bias.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from autoreg.joints.profiles import Profiles
+from autoreg.joints.strips import (
+    INDEPENDENT,
+    NOISE_FLOOR,
+    StripModel,
+    Window,
+    batches,
+    dot,
+    edge,
+    single,
+    still_moving,
+)
+
+# Profiles whose rooms differ by less are searched together.
+ROOM_STEP_PX = 4.0
+# Wider strips are searched as if they were so wide.
+WIDEST_PX = 2.0**4.5
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Where the joint lies off the station's projected centre, along its normal.
+
+    `depth` is the joint's tone against the mean of its slabs', `step` the tone of the far slab against the
+    near one's, `strength` the share of the profile's variance that the fit explains.
+    """
+
+    offset_px: Float[np.ndarray, " n"]
+    sigma_px: Float[np.ndarray, " n"]
+    depth: Float[np.ndarray, " n"]
+    step: Float[np.ndarray, " n"]
+    strength: Float[np.ndarray, " n"]
+
+
+def _strips(
+    at: Float[np.ndarray, " p"], centre: Float[np.ndarray, " c"], width: float, blur: float
+) -> np.ndarray:
+    """Step and strip of one width at each centre, orthonormal and without mean: shape (c, p, 2).
+
+    Orthonormal columns make the explained variance a sum of squares. The strip's sign is that of a light one.
+    """
+    s = at - centre[:, None]
+    near, far = (edge(single((s + side * 0.5 * width) / blur))[0].astype(float) for side in (1.0, -1.0))
+    both = np.stack([near + far, near - far], -1)
+    step, strip = np.moveaxis(both - both.mean(1, keepdims=True), 2, 0)
+    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    strip -= (step * strip).sum(1, keepdims=True) * step
+    return np.stack([step, strip / np.linalg.norm(strip, axis=1, keepdims=True)], -1)
+
+
+def _explained(centred: Float32[np.ndarray, "n p"], strips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Components of profiles along the step and along the strip, for each centre: two arrays (n, c)."""
+    c, p, _ = strips.shape
+    both = centred @ single(strips.transpose(1, 2, 0).reshape(p, 2 * c))
+    return both[:, :c], both[:, c:]
+
+
+def _alike(
+    width_px: Float[np.ndarray, " n"], rooms: Int[np.ndarray, " n"]
+) -> Iterator[tuple[np.ndarray, float, int]]:
+    """Rows of the profiles that can share a strip, its width (a power of the root of two), and their room."""
+    level = np.round(2 * np.log2(np.maximum(width_px, 1.0))).astype(int)
+    for key in np.unique(np.stack([level, rooms], 1), axis=0):
+        yield np.flatnonzero((level == key[0]) & (rooms == key[1])), 2.0 ** (key[0] / 2), key[1]
+
+
+def search_offsets(
+    profiles: Profiles, width_px: Float[np.ndarray, " n"], reach_px: float, prior_px: float, blur: float = 0.9
+) -> Float[np.ndarray, " n"]:
+    """Offset of the strip that explains each profile best, to half a pixel, within `reach_px`.
+
+    A Gaussian prior of `prior_px` settles ties in favour of the predicted place.
+    """
+    at = profiles.at_px
+    candidates = np.arange(-np.floor(reach_px), np.floor(reach_px) + 0.25, 0.5)
+    prior = single(0.5 * (candidates / prior_px) ** 2)
+    best = np.zeros(len(profiles.values))
+    rooms = np.ceil(profiles.room_px / ROOM_STEP_PX).astype(int)
+    for rows, width, room in _alike(np.minimum(width_px, WIDEST_PX), rooms):
+        inside = np.abs(at) <= room * ROOM_STEP_PX
+        values = profiles.values[np.ix_(rows, inside)]
+        centred = values - values.mean(1, keepdims=True)
+        total = (centred**2).sum(1, keepdims=True) + 1e-6
+        step, strip = _explained(centred, _strips(at[inside], candidates, width, blur))
+        left = np.maximum(total - step**2 - strip**2, 1e-3 * total + 1e-6)
+        likelihood = -0.5 * INDEPENDENT * inside.sum() * np.log(left) - prior
+        best[rows] = candidates[likelihood.argmax(1)]
+    return best
+
+
+def fit_offsets(
+    profiles: Profiles,
+    start_px: Float[np.ndarray, " n"],
+    width_px: Float[np.ndarray, " n"],
+    blur: float,
+    *,
+    iterations: int = 6,
+) -> Offsets:
+    """Least-squares offset of each strip (variable projection: tones are linear, the offset is not).
+
+    Only the joint and its shoulders are looked at, from where the fit starts.
+    """
+    columns = np.empty((5, len(start_px)))
+    for rows, window in batches(profiles, start_px, width_px, blur):
+        columns[:, rows] = _fitted(window, start_px[rows], width_px[rows], blur, iterations)
+    return Offsets(*columns)
+
+
+def _fitted(
+    window: Window, start: np.ndarray, width: np.ndarray, blur: float, iterations: int
+) -> tuple[np.ndarray, ...]:
+    """Offset, its sigma, depth, step and strength of some profiles."""
+    at, values, weight = window
+    strip = StripModel(values, weight, single(width), blur)
+    centre, moving, some = start.copy(), np.arange(len(start)), strip
+    for _ in range(iterations):
+        some.at(at[moving] - single(centre[moving])[:, None])
+        slope = some.slope()
+        weighted = some.weight * slope
+        step = dot(weighted, some.misfit) / np.maximum(dot(weighted, slope), 1e-9)
+        away = centre[moving] - start[moving]
+        step = np.clip(np.clip(step, -0.7, 0.7), -2.5 - away, 2.5 - away)
+        centre[moving] += step
+        moving, some = still_moving(strip, moving, some, step)
+        if not len(moving):
+            break
+    strip.at(at - single(centre)[:, None])
+    slope = strip.slope()
+    information = dot(weight * slope, slope).astype(float)
+    samples = weight.sum(1).astype(float)
+    sse = dot(weight * strip.misfit, strip.misfit).astype(float)
+    total = dot(weight * strip.values, strip.values)
+    variance = sse / np.maximum(samples * INDEPENDENT - 4.0, 1.0) + NOISE_FLOOR
+    near, far = strip.tones
+    # A flat profile, overexposed say, shows no joint.
+    strength = 1.0 - (sse + NOISE_FLOOR * samples) / (total + NOISE_FLOOR * samples)
+    return centre, np.sqrt(variance / np.maximum(information, 1e-9)), 0.5 * (near - far), near + far, strength
+
+
+def strip_support(
+    profiles: Profiles,
+    width_px: Float[np.ndarray, " n"],
+    blur: float,
+    tolerance_px: float,
+    room_px: Float[np.ndarray, " n"],
+    polarity: Int[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Share of each profile's variance that a strip within `tolerance_px` of the predicted place explains.
+
+    Only what lies within `room_px` of the place is looked at, so that a neighbouring joint has no say. Where
+    the joints are known to be dark or light, a step of tone alone is no joint, nor is a strip of the other
+    kind.
+    """
+    at = profiles.at_px
+    candidates = np.arange(-tolerance_px, tolerance_px + 0.25, 0.5)
+    support = np.zeros(len(profiles.values))
+    for rows, width, room in _alike(width_px, np.round(room_px).astype(int)):
+        inside = np.abs(at) <= room
+        values = profiles.values[rows][:, inside]
+        centred = values - values.mean(1, keepdims=True)
+        # A grey level of noise keeps flat profiles from scoring by chance.
+        total = ((centred**2).sum(1) + 0.5 * inside.sum())[:, None]
+        step, strip = _explained(centred, _strips(at[inside], candidates, width, blur))
+        sign = polarity[rows, None]
+        lined = np.where(strip * sign > 0, strip**2 / (total - step**2), 0.0)
+        support[rows] = np.where(sign == 0, (step**2 + strip**2) / total, lined).max(1)
+    return support
+
+
+def strip_misfits(
+    profiles: Profiles,
+    rows: Int[np.ndarray, " n"],
+    offset_px: Float[np.ndarray, " n"],
+    width_px: Float[np.ndarray, "k n"],
+    blur: Float[np.ndarray, " k"],
+) -> Float[np.ndarray, " k"]:
+    """Mean logarithm of some stations' unexplained variance, for each of several widths and blurs.
+
+    `offset_px` is where the joints of those stations lie.
+    """
+    k, n = width_px.shape
+    inside = (np.abs(profiles.at_px) <= profiles.room_px[rows, None]).astype(np.float32)
+    # All at once: the arrays are small, and each operation on them has its price.
+    strip = StripModel(
+        np.tile(profiles.values[rows], (k, 1)),
+        np.tile(inside, (k, 1)),
+        single(width_px.ravel()),
+        np.repeat(single(blur), n)[:, None],
+    )
+    strip.at(np.tile(single(profiles.at_px) - single(offset_px)[:, None], (k, 1)))
+    left, total = (dot(strip.weight * v, v) for v in (strip.misfit, strip.values))
+    return np.log(left / np.maximum(total, 1e-9) + 1e-3).reshape(k, n).mean(1).astype(float)

@@ -1,0 +1,274 @@
+"""Which lattice the sides of slabs show: its bond, multiples and parts of its spacings, and rivals.
+
+A lattice found as two combs may be twice as fine, or as coarse, as the slabs, and says nothing of their bond.
+The presence of every single slab side tells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.fitting.fit import Fit
+from autoreg.ground.ground_frame import turned, with_origin
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
+from autoreg.paving.bond import FALSE_ALARM_NATS, customary_shift
+from autoreg.paving.multiples import divided
+from autoreg.paving.patterns import Pattern, best_pattern, broken, outstanding, true_sides
+from autoreg.paving.presence import Presence, presence_of
+from autoreg.side_by_side import side_by_side
+
+# What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
+TESTED_NATS = 2 * float(np.log(7000)) + float(np.log(24))
+# Sides of one unbroken line stand and fall together: a line counts as at most this many independent ones.
+INDEPENDENT_SIDES = 3.0
+# Logarithm by which the sides' ratio in the photo may differ from the given one: coarse fits, uneven slabs
+# and nominal sizes without the joint stay below it.
+RATIO_TOLERANCE = 0.08
+# A start whose sides carry less, in their best pattern, leads nowhere.
+HOPEFUL_NATS = 3.0
+# A lattice this close to the best one is as good an answer.
+RIVAL_NATS = 3.0
+# How much better a finer lattice must explain the sides between the joints.
+SUBDIVIDE_NATS = 6.0
+# How much better than a lattice a pattern of its absent sides must explain them to speak against it.
+DEPARTS_NATS = 10.0
+# Crossings of two lattices that are nearer to each other than this, in slabs, are the same.
+SAME_PLACE = 1e-3
+# Sides that tell it, the largest in the picture, and places between them that they are held against.
+SUBDIVIDE_SIDES, SUBDIVIDE_CONTROLS = 180, 900
+
+
+@dataclass(frozen=True)
+class Paving:
+    """A lattice on the ground with the pose that sees it.
+
+    `evidence_nats` is the logarithm of the likelihood ratio of this lattice to chance, for the sides along X
+    and along Y, unpenalised.
+    """
+
+    fit: Fit
+    presence: Presence
+    evidence_nats: tuple[float, float]
+
+    @property
+    def grid(self) -> Grid:
+        """The lattice."""
+        return self.fit.grid
+
+    @property
+    def margin_nats(self) -> float:
+        """Evidence beyond what the number of tested hypotheses demands, of the weaker family in any case."""
+        return min(
+            sum(self.evidence_nats) - TESTED_NATS - FALSE_ALARM_NATS,
+            2.0 * (min(self.evidence_nats) - 0.5 * TESTED_NATS),
+        )
+
+
+def rival(pavings: tuple[Paving, ...]) -> Paving | None:
+    """The first of the pavings whose lattice differs from the best one's and explains the picture as well."""
+    best = pavings[0]
+    mine = _sides_in_heights(best)
+    for other in pavings[1:]:
+        if other.margin_nats < max(0.0, best.margin_nats - RIVAL_NATS):
+            break
+        theirs = _sides_in_heights(other)
+        turn = abs(other.grid.shift - best.grid.shift)
+        if not np.allclose(mine, theirs, rtol=0.05) or 0.05 < turn < 0.95:
+            return other
+    return None
+
+
+def _sides_in_heights(paving: Paving) -> list[float]:
+    """The slab's sides in camera heights, the shorter one first: fits differ in their units."""
+    height = float(paving.fit.cam_from_ground.origin_in_a[2])
+    return sorted(side / height for side in (paving.grid.spacing_x or 0.0, paving.grid.spacing_y))
+
+
+def suited(
+    picture: Float[np.ndarray, "h w"], pavings: tuple[Paving, ...], slab: tuple[float, float]
+) -> tuple[Paving, ...]:
+    """The lattices, or coarser ones within them, whose sides are in the ratio of a known slab, best first.
+
+    A few slabs can look like many halves; who knows the slab need not guess.
+    """
+    found = list(pavings)
+    for paving in pavings[:3]:
+        for family in (ALONG_X, ALONG_Y):
+            coarser = [p for p in best_pattern(paving.presence, family) if p.period in (2, 3)][:4]
+            whole = Pattern(1, 0, 0, 0.0)
+            for pattern in coarser:
+                pair = (pattern, whole) if family == ALONG_X else (whole, pattern)
+                fit = with_pattern(paving.fit, *pair)
+                other = None if fit is None or not has_ratio(fit.grid, slab) else presented(picture, fit)
+                if other is not None:
+                    found.append(other)
+    return tuple(sorted((p for p in found if has_ratio(p.grid, slab)), key=lambda p: -p.margin_nats))
+
+
+def has_ratio(grid: Grid, slab: tuple[float, float]) -> bool:
+    """Whether a lattice's sides may be in the ratio of a slab's, in either order."""
+    if grid.spacing_x is None:
+        return True
+    seen = np.log(max(grid.spacing_x, grid.spacing_y) / min(grid.spacing_x, grid.spacing_y))
+    return bool(abs(seen - np.log(max(slab) / min(slab))) < RATIO_TOLERANCE)
+
+
+def settle_bond(
+    picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | None = None
+) -> Paving | None:
+    """The bond that the presence of the single sides shows, with the lattice's axes turned to suit it.
+
+    The lattice is coarsened where whole classes of its sides are absent, and refined where sides are found
+    between its joints. The `presence` of its sides may be known.
+    """
+    best = presented(picture, fit, presence)
+    for _ in range(6):
+        if best is None:
+            return None
+        fit, presence = best.fit, best.presence
+        along_x, along_y = true_sides(presence, ALONG_X), true_sides(presence, ALONG_Y)
+        changed = with_pattern(fit, along_x, along_y)
+        if changed is None:
+            changed = _subdivided(picture, fit)
+        if changed is None or same_lattice(fit, changed):
+            break
+        other = presented(picture, changed)
+        if other is None:
+            break
+        # What a staggered pattern promised must hold when the new lattice is measured by itself. A coarser
+        # one has fewer lines to count, and is judged by the lines that the finer one predicts in vain.
+        coarser = along_x.advance == along_y.advance == 0 and max(along_x.period, along_y.period) in (2, 3)
+        if not coarser and sum(other.evidence_nats) < sum(best.evidence_nats) - 1.0:
+            break
+        best = other
+    return None if best is None or departs(best.presence) else best
+
+
+def departs(presence: Presence) -> bool:
+    """Whether the sides that are absent follow a pattern that no lattice was found for: some other paving."""
+    for family in (ALONG_X, ALONG_Y):
+        patterns = best_pattern(presence, family)
+        whole = next(pattern for pattern in patterns if pattern.period == 1)
+        if patterns[0].score - whole.score > DEPARTS_NATS:
+            return True
+    return False
+
+
+def hopeful(presence: Presence) -> bool:
+    """Whether some regular choice of a lattice's sides is there rather than not, in one family at least."""
+    return any(best_pattern(presence, family)[0].score > HOPEFUL_NATS for family in (ALONG_X, ALONG_Y))
+
+
+def same_lattice(one: Fit, other: Fit) -> bool:
+    """Whether two fits have the same joints, up to rounding; their origins may be different crossings."""
+    grids = [(fit.grid.spacing_x or 0.0, fit.grid.spacing_y, fit.grid.shift) for fit in (one, other)]
+    R = one.cam_from_ground.R
+    if not (np.allclose(grids[0], grids[1]) and np.allclose(R, other.cam_from_ground.R)):
+        return False
+    x, y, _ = R.T @ (other.cam_from_ground.t - one.cam_from_ground.t)
+    row = y / one.grid.spacing_y
+    places = np.array([row, x / (one.grid.spacing_x or np.inf) - row * one.grid.shift])
+    return bool(np.abs(places - np.round(places)).max() < SAME_PLACE)
+
+
+def presented(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | None = None) -> Paving | None:
+    """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do."""
+    presence = presence or presence_of(picture, fit)
+    if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
+        return None
+    return Paving(fit, presence, line_evidence(presence, fit.grid))
+
+
+def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
+    """The fit with a finer lattice, if sides are there between the joints of the one it has."""
+    if fit.grid.spacing_x is None:
+        return None
+    families = (ALONG_Y,) if fit.grid.shift else (ALONG_X, ALONG_Y)
+    for factor in (2, 3):
+        finer = partial(_finer, picture, fit, factor)
+        found = next((f for f in side_by_side(finer, families) if f is not None), None)
+        if found is not None:
+            return found
+    return None
+
+
+def _finer(picture: Float[np.ndarray, "h w"], fit: Fit, factor: int, family: int) -> Fit | None:
+    """The fit with so many times as many joints of a family, or some of them, if these are there."""
+    fine = divided(fit, family, factor)
+    if fine is None:
+        return None
+    presence = presence_of(
+        picture, fine, limit=SUBDIVIDE_SIDES, only=family, controls_wanted=SUBDIVIDE_CONTROLS
+    )
+    best = best_pattern(presence, family)
+    same = (factor, _carry(fit.grid, factor), 0)
+    known = next(p for p in best if (p.period, p.advance, p.phase) == same)
+    if best[0].score - known.score <= SUBDIVIDE_NATS or outstanding(presence, family) is not None:
+        return None
+    whole = Pattern(1, 0, 0, 0.0)
+    x, y = (best[0], whole) if family == ALONG_X else (whole, best[0])
+    return with_pattern(fine, x, y) or fine
+
+
+def _carry(grid: Grid, factor: int) -> int:
+    """How the columns of a lattice advance from row to row in the same lattice with finer columns."""
+    return -int(np.floor(grid.shift * factor)) % factor if grid.shift else 0
+
+
+def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
+    """The fit with the lattice that a pattern of present sides means; None if it is the one it has."""
+    grid, pose = fit.grid, fit.cam_from_ground
+    a, b = grid.spacing_x, grid.spacing_y
+    if a is None or along_x.period == along_y.period == 1:
+        return None
+    if along_y.period > 1 and (grid.shift or along_x.period == 1 or along_y.advance == 0):
+        # Present are the columns phase + advance * row + k * period of each row.
+        shift = customary_shift(((along_y.advance + grid.shift) / along_y.period) % 1.0)
+        origin = with_origin(pose, along_y.phase * a, 0.0)
+        return replace(fit, grid=Grid(a * along_y.period, b, shift), cam_from_ground=origin)
+    if grid.shift:
+        return None
+    if along_x.advance == 0:
+        origin = with_origin(pose, 0.0, along_x.phase * b)
+        return replace(fit, grid=Grid(a, b * along_x.period), cam_from_ground=origin)
+    if along_y.period > 1:
+        return None
+    # The unbroken joints run along Y: the new X axis is Y, the new Y axis is -X. The new course 0 is the old
+    # column -1, hence the one advance in its phase.
+    moved = with_origin(pose, 0.0, (along_x.phase - along_x.advance) * b)
+    shift = (-along_x.advance / along_x.period) % 1.0
+    return replace(
+        fit,
+        grid=Grid(b * along_x.period, a, shift),
+        cam_from_ground=turned(moved),
+        strip=replace(fit.strip, width=fit.strip.width[::-1], polarity=fit.strip.polarity[::-1]),
+    )
+
+
+def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
+    """Log likelihood ratio of the lattice, per family, over the part of the picture that suits best."""
+    options = [
+        tuple(evidence - 0.5 * price for evidence in _evidence_of(presence.take(np.flatnonzero(field)), grid))
+        for field, price in presence.possible_fields
+    ]
+    x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
+    return x, y
+
+
+def _evidence_of(presence: Presence, grid: Grid) -> tuple[float, float]:
+    """Log likelihood ratio of the lattice, per family, with the sides of a line taken together."""
+    total: list[float] = []
+    for family in (ALONG_X, ALONG_Y):
+        rows = np.flatnonzero(presence.sides.family == family)
+        line = presence.sides.line[rows]
+        if family == ALONG_Y and grid.shift:
+            line = line * 10_000 + presence.sides.cell[rows]
+        _, inverse = np.unique(line, return_inverse=True)
+        count = np.bincount(inverse)
+        mean = np.bincount(inverse, weights=presence.llr(rows)) / np.maximum(count, 1)
+        total.append(float((mean * np.minimum(count, INDEPENDENT_SIDES)).sum()))
+    return total[0], total[1]

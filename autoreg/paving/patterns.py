@@ -1,0 +1,145 @@
+"""Sides that are absent in a regular pattern: the slabs form a coarser lattice, another bond, or none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Int
+
+from autoreg.ground.sides import ALONG_X
+from autoreg.paving.presence import MISSED, Presence, p_llr
+
+# Mean p-values of a class of sides that is absent, and of one that is there. Where those that are there are
+# worn, the absent ones stand out from the next by this many standard deviations: in 140 families of joints
+# of lattices that are none the less whole, by 2.0 at most.
+BROKEN_P, PRESENT_P, BREAK_SIGMAS = 0.35, 0.15, 3.0
+# Joints stand out if they are stronger than what lies beside them so much more often than weaker, in so many
+# pairs at least. In lattices of true joints they are by 0.46 at most, where every second or third is by 0.7.
+STRONGER, FEWEST_PAIRS = 0.65, 16
+# How much better a pattern of absent sides must explain them than all sides being there.
+DEPARTURE_NATS = 3.0
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Which sides of a fine lattice belong to the true one.
+
+    `family` x sides present where (line - cell * advance) % period == phase, likewise for y. `period` 1 is
+    all of them.
+    """
+
+    period: int
+    advance: int
+    phase: int
+    score: float
+
+
+def best_pattern(
+    presence: Presence, family: int, periods: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
+) -> list[Pattern]:
+    """Patterns of one family's sides, best first, by the sum of log likelihood ratios.
+
+    Absent sides are held against a pattern that predicts them and for one that does not, so neither half
+    nor twice the spacing can win.
+    """
+    rows = np.flatnonzero(presence.sides.family == family)
+    line, cell = presence.sides.line[rows], presence.sides.cell[rows]
+    keys = [(m, q, r) for m in periods for q in range(m) for r in range(m)]
+    # Twice the spacing is as good a lattice as any; the others must earn their freedom.
+    cost = [np.log(m) if q == 0 and m <= 2 else 2 * np.log(m) + DEPARTURE_NATS for m, q, _ in keys]
+    ways = np.concatenate([_residues(line, cell, m, q) for m in periods for q in range(m)], 1)
+    by_missed = np.array([p_llr(presence.p[rows], missed) for missed in MISSED], np.float32)
+    fields, prices = zip(*presence.possible_fields, strict=True)
+    held = np.array(fields)[:, rows]
+    weights = (held[:, None] * by_missed).reshape(len(held) * len(MISSED), len(rows))
+    sums = weights @ ways
+    best = (sums.reshape(len(held), len(MISSED), -1).max(1) - np.array(prices)[:, None]).max(0) - cost
+    found = [Pattern(m, q, r, float(score)) for (m, q, r), score in zip(keys, best, strict=True)]
+    return sorted(found, key=lambda pattern: -pattern.score)
+
+
+def _residues(line: np.ndarray, cell: np.ndarray, period: int, advance: int) -> Float32[np.ndarray, "n m"]:
+    """Ones where a side is of a residue class of the lattice counted obliquely."""
+    residue = (line - cell * advance) % period
+    return (residue[:, None] == np.arange(period)).astype(np.float32)
+
+
+def true_sides(presence: Presence, family: int) -> Pattern:
+    """Which sides of a family are there, and are joints."""
+    best = best_pattern(presence, family)[0]
+    return (outstanding(presence, family) or best) if best.period == 1 else best
+
+
+def outstanding(presence: Presence, family: int) -> Pattern | None:
+    """The sides of a regular class that are joints, while those between them are other marks; or None.
+
+    A shadow's edge or a vein may lie on a predicted joint, which then does not look absent. But joints of one
+    kind are about as strong as their neighbours: where each of a class is stronger than those beside it, and
+    these are weakly there, they are none.
+    """
+    inside = presence.inside(presence.field)
+    rows = np.flatnonzero(inside.sides.family == family)
+    line, cell = inside.sides.line[rows], inside.sides.cell[rows]
+    p, support = inside.p[rows], inside.support[rows]
+    classes = [
+        (m, q, r, chosen)
+        for m in (2, 3)
+        for q in range(m)
+        for r, chosen in enumerate(_residues(line, cell, m, q).T > 0)
+        if chosen.any() and not chosen.all() and p[~chosen].mean() >= PRESENT_P
+    ]
+    if not classes:
+        return None
+    best, most = None, STRONGER
+    mine, theirs, apart = _neighbours(line, cell)
+    for m, q, r, chosen in classes:
+        pairs = np.flatnonzero(chosen[mine] & ~chosen[theirs] & (apart < m))
+        if len(pairs) < FEWEST_PAIRS:
+            continue
+        stronger = float(np.sign(support[mine[pairs]] - support[theirs[pairs]]).mean())
+        if stronger > most:
+            best, most = Pattern(m, q, r, stronger), stronger
+    return best
+
+
+def _neighbours(line: Int[np.ndarray, " n"], cell: Int[np.ndarray, " n"]) -> Int[np.ndarray, "3 k"]:
+    """Pairs of sides of one cell that lie one or two lines apart, either way round, and how many."""
+    sides = list(zip(line.tolist(), cell.tolist(), strict=True))
+    at = {side: k for k, side in enumerate(sides)}
+    pairs = [
+        (k, at[own + d, place], abs(d))
+        for k, (own, place) in enumerate(sides)
+        for d in (-2, -1, 1, 2)
+        if (own + d, place) in at
+    ]
+    return np.array(pairs, dtype=int).reshape(-1, 3).T
+
+
+def broken(presence: Presence, family: int) -> bool:
+    """Whether the joints of a family break off at regular intervals, as those of herringbone do.
+
+    The sides of one residue class, counted obliquely over the lattice, are then absent while all others are
+    there; no stack or running bond of whole slabs looks like that.
+    """
+    near = presence.nearest(0.5)
+    rows = np.flatnonzero(near.sides.family == family)
+    line, p = near.sides.line[rows], near.p[rows]
+    if len(rows) == 0:
+        return False
+    # Counted by place: the rows of a running bond count their sides from starts of their own.
+    ends = near.sides.ends[rows][:, :, 0 if family == ALONG_X else 1]
+    cell = np.floor(ends.mean(1) / np.median(np.ptp(ends, axis=1)) + 1e-6).astype(int)
+    for m in (3, 4):
+        for q in range(1, m):
+            residue = (line - cell * q) % m
+            count = np.bincount(residue, minlength=m)
+            if count.min() < 5:
+                continue
+            mean = np.bincount(residue, weights=p, minlength=m) / count
+            scatter = np.sqrt(((p - mean[residue]) ** 2).sum() / max(len(p) - m, 1))
+            second, last = np.argsort(mean)[-2:]
+            beyond = BREAK_SIGMAS * scatter * np.sqrt(1 / count[last] + 1 / count[second])
+            if mean[last] > BROKEN_P and (mean[second] < PRESENT_P or mean[last] - mean[second] > beyond):
+                return True
+    return False

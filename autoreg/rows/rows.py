@@ -1,0 +1,154 @@
+"""Rows: unbroken joints at an even spacing, with cross joints at right angles that follow no period.
+
+Random ashlar is the most common real paving. Its unbroken joints tell the pose at a known focal length; its
+cross joints show that the ground is paved with slabs, not with boards, and give the frame a crossing to start
+from. What their right angles tell of an unknown focal length is another stage's matter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.fitting.fit import Fit
+from autoreg.geometry import Rigid
+from autoreg.ground.ground_frame import turned, with_origin
+from autoreg.ground.sides import ALONG_X, Grid
+from autoreg.paving.bond import FALSE_ALARM_NATS
+from autoreg.paving.lattice_choice import TESTED_NATS, Paving, line_evidence
+from autoreg.paving.lay import fit_outwards, refine_in_field
+from autoreg.paving.patterns import true_sides
+from autoreg.paving.plane_combs import PlaneCombs
+from autoreg.paving.presence import Presence, field_polygon, presence_of
+from autoreg.rows.along_rows import along_rows
+from autoreg.rows.cross_joints import CrossJoints, find_cross_joints, in_columns
+from autoreg.segments import Segments
+from autoreg.solve.freedom import Free
+
+# One family of lines holds fewer motions than two: single solves may not wander further than this.
+STEP_SIGMA = 0.004
+# Combs with less are not looked into.
+WORTH_NATS = 6.0
+FEWEST_LINES = 6
+# Mean p-value of joints that are absent, beyond that of the others, and how many lines may be missing.
+ABSENT_P, MOST_MISSING = 0.3, 0.1
+# Share of an unbroken joint that may be hidden or worn.
+MOST_GAPS = 0.3
+# Half slabs from one gap of a joint to the next, in herringbone of slabs of two and of three squares.
+GAP_PERIODS = (4, 6, 8, 12)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A field of rows, the cross joints in it, and a crossing to start its frame from."""
+
+    paving: Paving
+    cross: CrossJoints
+    crossing: Float[np.ndarray, "2"]
+
+    @property
+    def margin_nats(self) -> float:
+        """Evidence beyond what the number of tested hypotheses demands, for joints and cross joints alike."""
+        x, y = self.paving.evidence_nats
+        return min(x - 0.5 * TESTED_NATS - FALSE_ALARM_NATS, y - FALSE_ALARM_NATS)
+
+
+def lay_rows(
+    picture: Float[np.ndarray, "h w"], plane: PlaneCombs, segments: Segments, size: tuple[int, int]
+) -> Rows | None:
+    """The best field of rows on a plane, or None if it shows none.
+
+    `size` is the photo's width and height, in whose pixels the segments are.
+    """
+    best: Rows | None = None
+    for quarters, combs in ((0, plane.x), (1, plane.y)):
+        if not combs or combs[0].score < WORTH_NATS:
+            continue
+        origin = np.array([combs[0].phase, 0.0, -1.0] if quarters else [0.0, combs[0].phase, -1.0])
+        start = turned(Rigid(plane.R, plane.R @ origin), quarters)
+        fit = _fit_rows(picture, plane, start, Grid(None, combs[0].spacing))
+        found = None if fit is None else _rows_of(picture, fit, segments, size)
+        if found is not None and (best is None or found.margin_nats > best.margin_nats):
+            best = found
+    return best
+
+
+def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) -> Fit | None:
+    """The fit of unbroken joints, coarsened where only every second or third of them is there."""
+    fit = fit_outwards(picture, plane, start, grid, Free(step_sigma=STEP_SIGMA))
+    for _ in range(3):
+        if fit is None:
+            return None
+        presence = presence_of(picture, fit)
+        if len(presence.p) < 6:
+            return None
+        pattern = true_sides(presence, ALONG_X)
+        if pattern.period == 1 or pattern.advance:
+            return refine_in_field(picture, fit, field_polygon(presence))
+        wider = Grid(None, fit.grid.spacing_y * pattern.period)
+        pose = with_origin(fit.cam_from_ground, 0.0, pattern.phase * fit.grid.spacing_y)
+        fit = replace(fit, grid=wider, cam_from_ground=pose)
+    return fit
+
+
+def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int, int]) -> Rows | None:
+    """The rows of a fit, if its joints are unbroken and even and cross joints lie between them."""
+    presence = presence_of(picture, fit)
+    if len(presence.p) < 6:
+        return None
+    field = field_polygon(presence)
+    if _interrupted(picture, fit, field):
+        return None
+    cross = find_cross_joints(segments, fit, field, size)
+    if len(cross.middle) == 0 or in_columns(cross, fit.grid.spacing_y) or not _evenly_spaced(presence, field):
+        return None
+    if along_rows(segments, fit, field, size).contradict:
+        return None
+    x, _ = line_evidence(presence, fit.grid)
+    middle = np.median(cross.middle, axis=0)
+    crossing = cross.middle[np.linalg.norm(cross.middle - middle, axis=1).argmin()]
+    spacing = fit.grid.spacing_y
+    on_joint = np.array([crossing[0], round(crossing[1] / spacing) * spacing])
+    return Rows(Paving(fit, presence, (x, cross.evidence_nats)), cross, on_joint)
+
+
+def _interrupted(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np.ndarray, "k 2"]) -> bool:
+    """Whether the joints break off at regular intervals, as those of herringbone do, or all too often.
+
+    Where along a joint the slabs begin is not known, so that pieces of half a slab are looked at: one of a
+    gap's pieces at least is wholly without a joint. The gaps advance evenly from joint to joint.
+    """
+    across = fit.grid.spacing_y
+    halves = presence_of(picture, replace(fit, grid=Grid(across / 2.0, across))).inside(field)
+    rows = np.flatnonzero(halves.sides.family == ALONG_X)
+    if len(rows) == 0:
+        return False
+    line, p = halves.sides.line[rows], halves.p[rows]
+    if np.mean(p > ABSENT_P) > MOST_GAPS:
+        return True
+    piece = np.round(halves.sides.ends[rows].mean(1)[:, 0] / (across / 2.0) - 0.5).astype(int)
+    for period in GAP_PERIODS:
+        for advance in range(period):
+            residue = (piece - line * advance) % period
+            count = np.bincount(residue, minlength=period)
+            mean = np.bincount(residue, weights=p, minlength=period) / np.maximum(count, 1)
+            if mean[count >= 6].max(initial=0.0) > ABSENT_P + np.median(mean):
+                return True
+    return False
+
+
+def _evenly_spaced(presence: Presence, field: Float[np.ndarray, "k 2"]) -> bool:
+    """Whether enough lines are there, and hardly any that the spacing predicts is not.
+
+    Courses of uneven width would leave whole lines of an even spacing in the middle of slabs. Few lines do
+    not fix the tilt of the ground by their spacing.
+    """
+    near = presence.inside(field)
+    _, index, count = np.unique(near.sides.line, return_inverse=True, return_counts=True)
+    mean = np.bincount(index, weights=near.p) / count
+    judged = count >= 3
+    missing = judged & (mean > ABSENT_P)
+    enough = (judged & ~missing).sum() >= FEWEST_LINES
+    return bool(enough and missing.sum() <= MOST_MISSING * judged.sum())

@@ -1,0 +1,212 @@
+"""The equations of the mixed model of irregular slabs: its normal equations and restricted likelihood.
+
+The residuals' covariance is V = D + Z Z', with the random effects' columns Z scaled by their sizes. Only
+slabs that share a joint are correlated, so that Woodbury's identity leaves a banded matrix to be factorised
+(Searle, Casella, McCulloch, Variance Components, ch. 6).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.sparse import hstack
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+
+from autoreg.fitting.design_effect import drawn_design_effect
+from autoreg.fitting.fit import Fit
+from autoreg.slabs.measured_joints import measured_joints
+from autoreg.slabs.slab_effects import (
+    bloom_effects,
+    bow_effects,
+    common_effects,
+    relief_effects,
+    slab_effects,
+    width_effects,
+)
+from autoreg.solve.solver import CAUCHY_SIGMAS, Prior
+
+# Sizes of the relief that are weighed against each other, as shares of half the joint's width. It cannot be
+# more than one by geometry, but the width itself is measured on what is left of the joint.
+RELIEFS = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0, 2.0)
+# Pictures that are drawn from the model, to learn how its joints would agree.
+DRAWS = 16
+# A station farther off than this many standard deviations is none of a slab's: it is left out.
+GROSS_SIGMAS = 4.0
+# How much larger bright tiles may look that meet without a joint, beyond what the fit has taken off already.
+BLOOM_PX = 0.1
+
+Sizes = tuple[float, float, float]
+
+
+class _Normal(NamedTuple):
+    """Restricted log likelihood, solution and normal matrix, for each size of the relief."""
+
+    value: Float[np.ndarray, " r"]
+    x: Float[np.ndarray, "r k"]
+    H: Float[np.ndarray, "r k k"]
+
+
+class SlabEquations:
+    """The linear mixed model of one fit's residuals; sizes are (place, lift / place, turn / place)."""
+
+    def __init__(
+        self,
+        fit: Fit,
+        mask: Float[np.ndarray, " p"],
+        prior: Prior,
+        bow: float,
+        rows: Int[np.ndarray, " n"],
+        widths: bool,
+    ) -> None:
+        self.free = np.flatnonzero(mask)
+        self.joints = joints = measured_joints(fit, rows, widths=widths)
+        # The widths know nothing of the pose, but what makes them differ moves the middles as well.
+        J = joints.middles_only(fit.solution.jacobian[np.ix_(rows, self.free)])
+        # Columns of unit length keep the normal equations well scaled.
+        self.unit = 1.0 / np.maximum(np.linalg.norm(J, axis=0), 1e-12)
+        self.known = (self.unit / prior.sigma[self.free]) ** 2
+        self.prior_mean = prior.mean[self.free] / self.unit
+        a, b = fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y
+        self.side = float(np.sqrt(a * b))
+        effects = slab_effects(joints, a, b, self.side)
+        Z: Any = hstack(effects).tocsc()
+        # Neighbouring slabs next to each other: only they share a joint, and so the products form a band.
+        order = reverse_cuthill_mckee((Z.T @ Z).tocsr(), symmetric_mode=True)
+        self.Z: Any = Z[:, order].tocsr()
+        self._pair_up()
+        # Which of the three sizes each column of Z is scaled by.
+        self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])[order]
+        self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
+        relief = relief_effects(joints)
+        others = (
+            common_effects(joints),
+            width_effects(joints),
+            bow * bow_effects(joints),
+            BLOOM_PX * bloom_effects(joints),
+        )
+        # Which of these columns are scaled by the size of the relief.
+        self.relief = np.repeat([True, False], [relief.shape[1], sum(effect.shape[1] for effect in others)])
+        self.columns = np.c_[J * self.unit, relief, *others, joints.off_px]
+        self.begun_anew()
+
+    def begun_anew(self) -> SlabEquations:
+        """This model with the weights that the joints' distances alone give."""
+        joints = self.joints
+        narrower = np.abs(joints.off_px[len(joints.rows) :])
+        usual = np.r_[joints.fit.sigma_px[joints.rows], np.full(len(narrower), 1.48 * _median(narrower))]
+        self.weight = 1.0 / (1.0 + (joints.off_px / (CAUCHY_SIGMAS * usual)) ** 2)
+        self._weigh()
+        return self
+
+    def _pair_up(self) -> None:
+        """Where the products of Z's entries stand in the band of Z' D^-1 Z, whatever D is.
+
+        Two slabs move every measurement, each by its place, its lift and its turn, and so all rows of Z have
+        as many entries. Those that are zero would widen the band.
+        """
+        count, size = self.Z.shape
+        column, value = (entries.reshape(count, -1) for entries in (self.Z.indices, self.Z.data))
+        one, other = np.tril_indices(column.shape[1])
+        product = value[:, one] * value[:, other]
+        self.pair_row, pair = np.nonzero(product)
+        self.pair_product = product[self.pair_row, pair]
+        ends = column[self.pair_row, one[pair]].astype(np.int64), column[self.pair_row, other[pair]]
+        low, high = np.minimum(*ends), np.maximum(*ends)
+        place = (high - low) * size + low
+        used = np.flatnonzero(np.bincount(place))
+        self.below, self.column = np.divmod(used, size)
+        number = np.zeros(used[-1] + 1, dtype=np.int64)
+        number[used] = np.arange(len(used))
+        self.pair = number[place]
+
+    def _weigh(self) -> None:
+        """The products with the inverse of D that every size needs, for the weights as they are."""
+        self.D = self.joints.noise_px**2 / self.weight
+        over = self.columns / self.D[:, None]
+        self.products = np.bincount(self.pair, self.pair_product / self.D[self.pair_row])
+        self.ZDC = self.Z.T @ over
+        self.CDC = self.columns.T @ over
+
+    def factor(self, sizes: Sizes) -> None:
+        """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
+        place, lift, turn = sizes
+        self.scale = np.array([place, place * lift, place * turn])[self.kind]
+        band = np.zeros((int(self.below[-1]) + 1, len(self.scale)))
+        both = self.scale[self.column] * self.scale[self.column + self.below]
+        band[self.below, self.column] = self.products * both
+        band[0] += 1.0
+        self.cholesky = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+        self.logdet = float(np.log(self.D * self.weight).sum() + 2.0 * np.log(self.cholesky[0]).sum())
+        across, _ = dtbtrs(self.cholesky, self.scale[:, None] * self.ZDC, uplo="L")
+        self.gram = self.CDC - across.T @ across
+
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        return cho_solve_banded((self.cholesky, True), right, check_finite=False)
+
+    def _whitened(self, x: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n c"]:
+        """V^-1 x."""
+        scale, over = self.scale[:, None], 1.0 / self.D[:, None]
+        return over * (x - self.Z @ (scale * self._solved(scale * (self.Z.T @ (over * x)))))
+
+    def misfit(self, relief: float) -> float:
+        """How much more the stations that share something agree than in pictures drawn from the model."""
+        p, k = len(self.free), len(self.relief)
+        X = self.columns[:, :-1] * np.r_[np.ones(p), np.where(self.relief, relief, 1.0)]
+        random = np.random.default_rng(0)
+        drawn = np.sqrt(self.D)[:, None] * random.standard_normal((len(X), DRAWS))
+        drawn += self.Z @ (self.scale[:, None] * random.standard_normal((len(self.scale), DRAWS)))
+        drawn += X[:, p:] @ random.standard_normal((k, DRAWS))
+        VX = self._whitened(X)
+        inverse = np.linalg.inv(self._normal(np.array([relief])).H[0])
+        y = np.column_stack([self.joints.off_px, drawn])
+        pulls = self._whitened(y - X @ (inverse @ (VX.T @ y)))
+        return drawn_design_effect(X, inverse, pulls, self.joints.shared, 6)
+
+    def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
+        """Normal equations of the motion and the relief's shifts, for each size of the relief."""
+        p, k = len(self.free), len(self.relief)
+        scale = np.ones((len(reliefs), p + k))
+        scale[:, p:][:, self.relief] = reliefs[:, None]
+        # A direction that nothing tells (along the joints of rows) stays where it is, and unknown.
+        little = 1e-10 * np.diag(self.gram)[:p]
+        known = np.r_[self.known + little, np.ones(k)]
+        mean = np.r_[np.where(self.known > 0, self.prior_mean, 0.0), np.zeros(k)]
+        H = self.gram[:-1, :-1] * scale[:, :, None] * scale[:, None, :] + np.diag(known)
+        g = self.gram[:-1, -1] * scale - known * mean
+        x = -np.linalg.solve(H, g[..., None])[..., 0]
+        left = self.gram[-1, -1] + (g * x).sum(1) + float(known @ mean**2)
+        value = -0.5 * (left + self.logdet + np.linalg.slogdet(H)[1])
+        return _Normal(value, x * scale, H)
+
+    def solve(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """Restricted log likelihood, scaled motion and its covariance, for each size of the relief."""
+        normal, p = self._normal(np.array(RELIEFS)), len(self.free)
+        covariance = np.linalg.inv(normal.H)[:, :p, :p]
+        return [(float(v), x[:p], C) for v, x, C in zip(normal.value, normal.x, covariance, strict=True)]
+
+    def evidence(self, sizes: Sizes) -> dict[float, float]:
+        """Restricted log likelihood for each size of the relief."""
+        self.factor(sizes)
+        return dict(zip(RELIEFS, self._normal(np.array(RELIEFS)).value.tolist(), strict=True))
+
+    def reweigh(self, sizes: Sizes, relief: float) -> None:
+        """Cauchy weights from what is left of each station's residual when the slabs have had their share."""
+        self.factor(sizes)
+        x = self._normal(np.array([relief])).x[0]
+        left = self.columns @ np.r_[x, 1.0]
+        own = self.D * self._whitened(left[:, None])[:, 0]
+        # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
+        place, lift, turn = sizes
+        variance = self.joints.noise_px**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
+        deviation = np.abs(left) / np.sqrt(variance)
+        gross = deviation > GROSS_SIGMAS * max(1.48 * float(np.median(deviation)), 1e-6)
+        self.weight = np.where(gross, 1e-6, 1.0 / (1.0 + own**2 / (CAUCHY_SIGMAS**2 * self.D * self.weight)))
+        self._weigh()
+
+
+def _median(values: Float[np.ndarray, " n"]) -> float:
+    return float(np.median(values)) + 1e-6 if len(values) else 1.0

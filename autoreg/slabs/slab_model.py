@@ -1,0 +1,162 @@
+"""A linear mixed model of irregular slabs: the likeliest pose, and how sure it is.
+
+The places of neighbouring joints are no independent measurements. Each joint lies off its line by
+
+    J dp + place + lift + turn of the slabs on either side + relief + common shift + bloom + noise,
+
+where every slab's place, height and turn are random, and the relief is the shift of a joint seen aslant: a
+lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. What the
+joints of a family are off by together beyond that shows in no residual: its size is that measured on
+ray-traced pavings. Where both edges of a joint are told apart, its width is a second measurement, off by all
+of these but J dp. Bright tiles that meet dark ones without a joint bloom: every edge is moved towards the
+dark one. This is a linear mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the
+sizes of the random effects come from the photo's own residuals by restricted maximum likelihood, and the
+pose by generalised least squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from autoreg.fitting.fit import Fit
+from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
+from autoreg.solve.joint_data import PARAMETERS
+from autoreg.solve.solver import Prior
+
+# What is tried in turn: factors of the place's size, and sizes of lift and turn as shares of it.
+WIDE_SEARCHES = (((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5)), ((0.75, 1.3), (), ()))
+NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), ()),)
+# Factors of the likeliest place's size over which the answer is averaged.
+LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
+# Where the widths tell the relief, its shape varies beyond the model: the variance is this much larger, as
+# measured on ray-traced pavings.
+MISFIT = 1.6
+# The sizes of the effects are searched on blocks of so many slabs square, with about so many stations in all.
+BLOCK_SLABS, SEARCHED = 4, 600
+# Height of the bow that even ground may have, as a share of its extent: 3 mm under a straightedge of 2 m.
+BOW = 0.0015
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Standard deviations of the slabs' irregularity, in the unit of the pose (`turn` in radians).
+
+    `lift` and `turn` are of slabs, like `place`; `relief` is a share of half the joint's width. `misfit` is
+    the factor, in variance, by which joints agree on being off beyond what all of these explain.
+    """
+
+    place: float
+    lift: float
+    turn: float
+    relief: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Solution of the mixed model: a small motion from the fit, its covariance, and the scatter."""
+
+    parameters: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    scatter: Scatter
+
+
+def estimate_motion(
+    fit: Fit,
+    mask: Float[np.ndarray, " p"],
+    prior: Prior,
+    near: Scatter | None = None,
+    *,
+    bow: float = 0.0,
+    widths: bool = True,
+) -> Estimate:
+    """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
+
+    Args:
+        fit: a converged fit; its Jacobian tells what the parameters move.
+        mask: ones for the free parameters.
+        prior: what is known of them, counted from the fit.
+        near: the scatter of an earlier estimate of this photo, near which to search instead of everywhere.
+        bow: how far from a plane the ground may be bent, as a share of its extent (standard deviation).
+        widths: whether the joints' widths have a say.
+    """
+    rows = np.flatnonzero(fit.usable)
+    some = _in_blocks(fit, rows)
+    model = SlabEquations(fit, mask, prior, bow, some, widths)
+    sizes, relief = _likeliest_sizes(model, near)
+    model = (
+        SlabEquations(fit, mask, prior, bow, rows, widths) if len(some) < len(rows) else model.begun_anew()
+    )
+    for _ in range(2):
+        model.reweigh(sizes, relief)
+    found: list[tuple[float, np.ndarray, np.ndarray]] = []
+    for factor in LIKELY:
+        model.factor((factor * sizes[0], *sizes[1:]))
+        found += model.solve()
+    value = np.array([f[0] for f in found])
+    weight = np.exp(value - value.max())
+    weight /= weight.sum()
+    mean = np.tensordot(weight, np.array([f[1] for f in found]), 1)
+    # What differs between likely scatters is uncertainty too; it matters where slabs are few.
+    away = np.array([f[1] for f in found]) - mean
+    inner = np.array([f[2] for f in found]) + away[:, :, None] * away[:, None, :]
+    if near is not None:
+        misfit = near.misfit
+    elif len(model.joints.wide):
+        flat = float(weight[:: len(RELIEFS)].sum())
+        misfit = 1.0 + (MISFIT - 1.0) * (1.0 - flat)
+    else:
+        model.factor(sizes)
+        misfit = max(1.0, model.misfit(relief))
+    spread = np.tensordot(weight, inner, 1) * misfit
+    parameters, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
+    parameters[model.free] = mean * model.unit
+    covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
+    place, lift, turn = sizes
+    relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
+    scatter = Scatter(place, place * lift, place * turn / model.side, relief, misfit)
+    return Estimate(parameters, covariance, scatter)
+
+
+def _in_blocks(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
+    """Some of the stations, in whole blocks of slabs spread over the ground: neighbours tell the scatter."""
+    size = BLOCK_SLABS * np.array([fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y])
+    block = np.floor(fit.stations.ground[rows] / size).astype(int)
+    names, member, count = np.unique(block, axis=0, return_inverse=True, return_counts=True)
+    # An order in which near and far blocks, left and right ones follow each other.
+    order = np.argsort((5 * names[:, 0] + 3 * names[:, 1]) % 13, kind="stable")
+    wanted = order[: 1 + int(np.searchsorted(np.cumsum(count[order]), SEARCHED))]
+    return rows[np.isin(member.ravel(), wanted)]
+
+
+def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes, float]:
+    """Sizes and relief of highest restricted likelihood.
+
+    Coordinate search from an earlier estimate, or from the residuals' scatter on the ground: each size in
+    turn over a few values, the relief with every one.
+    """
+    if near is None:
+        joints = model.joints
+        off_px = np.abs(joints.off_px[: len(joints.rows)])
+        ground = 1.48 * float(np.median(off_px / joints.px_per_unit)) + 1e-12
+        best, relief, searches = (ground, 0.33, 0.25), 0.5, WIDE_SEARCHES
+    else:
+        lift, turn = near.lift / near.place, near.turn * model.side / near.place
+        best, relief, searches = (near.place, lift, turn), near.relief, NEAR_SEARCHES
+    model.reweigh(best, relief)
+    for search in searches:
+        score, relief = max((value, r) for r, value in model.evidence(best).items())
+        for axis, options in enumerate(search):
+            centre = best
+            for option in options:
+                sizes = list(centre)
+                sizes[axis] = option if axis else option * centre[0]
+                tried = (sizes[0], sizes[1], sizes[2])
+                likelihood, likeliest = max((v, r) for r, v in model.evidence(tried).items())
+                if likelihood > score:
+                    score, relief, best = likelihood, likeliest, tried
+        model.reweigh(best, relief)
+    return best, relief

@@ -1,0 +1,264 @@
+"""How sure the pose is, which pose is likeliest, and whether the photo contradicts its camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import FROM_THE_FEET, WIDE_SEARCH, refine, refine_until_still
+from autoreg.geometry import Rigid
+from autoreg.paving.bond import customary_shift
+from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
+from autoreg.solve import joint_data as terms
+from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
+
+# What a calibration may be off by, as a standard deviation, before a photo is said to contradict it: share of
+# the focal length, and of the picture's width for the principal point and for what the lens does to a corner.
+FOCAL_TOLERANCE, CENTRE_TOLERANCE, LENS_TOLERANCE = 0.0065, 0.005, 0.0025
+# The contradiction must be beyond this chi-square (of at most four degrees of freedom).
+CONTRADICTION = 14.0
+# So wide that it only keeps untold lenses finite.
+ANY_RADIAL = 0.5
+# Above this chi-square, or where slabs seem to lie this share of a side off, or more than this share of a
+# family's joints is missed, the joints are measured again.
+DOUBT, UNEVEN, MISSED = 1.0, 0.01, 0.15
+# To be believed, a free camera must lower the share of joints that are missed to this, and may leave them so
+# much farther from their lines; or it must lower the slabs' scatter and the joints' distances to these.
+FEWER, ROUGHER, EVENER, SMOOTHER = 0.5, 1.1, 0.8, 0.95
+# Slabs that scatter by less, in pixels, are even.
+EVEN_PX = 0.02
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A fit at the pose that the mixed model makes likeliest.
+
+    `covariance` is of (rotation vector, translation) of a small motion on the camera's side. `narrowing` is
+    by what share of their width joints look narrower at a slope of one than from above, as sunk ones do.
+    """
+
+    fit: Fit
+    covariance: Float[np.ndarray, "6 6"]
+    scatter: Scatter
+    narrowing: float = 0.0
+
+
+def settle(fit: Fit, *, widths: bool = True) -> Settled:
+    """The fit moved to the likeliest pose under irregular slabs, and how sure that pose is.
+
+    The joints' `widths` have a say if that is asked for.
+    """
+    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera), widths=widths)
+    moved = moved_fit(fit, estimate.parameters)
+    return Settled(moved, on_camera_side(estimate.covariance, moved.cam_from_ground), estimate.scatter)
+
+
+def moved_fit(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:
+    """The fit after a small motion of pose, camera and lattice; its joints are not measured anew."""
+    step = replace(fit.solution, parameters=parameters)
+    return replace(
+        fit,
+        camera=moved_camera(fit.camera, step),
+        cam_from_ground=moved_pose(fit.cam_from_ground, step),
+        grid=stretched(fit.grid, step),
+        distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
+    )
+
+
+def on_camera_side(covariance: Float[np.ndarray, "p p"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
+    """The pose's part, where the solve's rotation turns the translation as well: t = exp(w) t0 + dt."""
+    A = np.eye(6)
+    A[3:, :3] = -_cross(pose.t)
+    C = A @ covariance[:6, :6] @ A.T
+    return 0.5 * (C + C.T)
+
+
+def _cross(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """What the joints say about the camera.
+
+    The shifts are of the joints' own camera from the given one: logarithm of the focal length, pixels, and
+    the first radial coefficient.
+    """
+
+    consistent: bool
+    focal_px: float
+    focal_sigma_px: float
+    focal_shift: float
+    centre_shift_px: Float[np.ndarray, "2"]
+    radial_shift: float
+    chi_square: float
+
+
+def check_camera(
+    fit: Fit,
+    picture: Float[np.ndarray, "h w"] | None = None,
+    field: Float[np.ndarray, "k 2"] | None = None,
+    scatter: Scatter | None = None,
+) -> CameraCheck:
+    """Whether the joints of this photo contradict the camera they were fitted with.
+
+    The joints' own focal length, principal point and lens are estimated, with the covariance of irregular
+    slabs. Their distance from the given camera is judged against that covariance plus what a good calibration
+    may be off by: a direction that the joints do not tell has a wide covariance, and so no say.
+
+    Ground that is bent imitates another camera, and so the covariance allows for a bow.
+
+    A wrong camera makes even slabs look irregular, hides joints from the search, and moves the courses of a
+    running bond by as much as its shift may be misread. With the picture, a fit that gives cause for doubt is
+    therefore repeated with a free camera first.
+
+    Args:
+        fit: the fit with the given camera.
+        picture: grey levels, to measure the joints again where the camera is in doubt.
+        field: where on the ground the paving is, as for `refine`.
+        scatter: of the slabs, as the fit's pose alone has it.
+    """
+    given, free = fit, _free_camera(fit)
+    # Joints that lie off since the camera is wrong lie off with both edges: widths would be misread.
+    both = estimate_motion(fit, free.mask, free.prior(fit.camera), scatter, bow=BOW, widths=False)
+    chi_square, shift = _contradiction(fit, fit, both)
+    customary = customary_shift(fit.grid.shift)
+    uneven = both.scatter.place > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
+    doubted = uneven or chi_square > DOUBT or fit.missed > MISSED or customary != fit.grid.shift
+    if picture is not None and doubted:
+        before = both.scatter.place
+        usual = replace(fit, grid=replace(fit.grid, shift=customary))
+        for freed in _fits_with_free_camera(usual, picture, field):
+            motion = estimate_motion(
+                freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW, widths=False
+            )
+            # A free camera that neither makes the slabs evener nor meets more joints is no better one.
+            px = float(np.median(fit.profiles.px_per_unit[fit.usable]))
+            evener = motion.scatter.place < EVENER * both.scatter.place and both.scatter.place * px > EVEN_PX
+            met = freed.missed < FEWER * fit.missed
+            rough, was = _roughness(freed), _roughness(fit)
+            if (met and rough < ROUGHER * was) or (evener and rough < SMOOTHER * was):
+                chi_square, shift = _contradiction(given, freed, motion)
+                fit, both = freed, motion
+            # A camera that is wrong is worth the time to find the right one.
+            if both.scatter.place < 0.5 * before and chi_square < CONTRADICTION:
+                break
+    centre = np.array([given.camera.cx - fit.camera.cx, given.camera.cy - fit.camera.cy])
+    log_focal, sigma = _focal_alone(both, given.free, centre)
+    focal = fit.camera.fx * float(np.exp(log_focal))
+    consistent = chi_square < CONTRADICTION
+    return CameraCheck(
+        consistent, focal, focal * sigma, float(shift[0]), shift[1:3], float(shift[3]), chi_square
+    )
+
+
+def _roughness(fit: Fit) -> float:
+    """Median distance of the stations from their lines, in pixels, in the family with the greater one."""
+    used = [fit.usable & (fit.stations.family == family) for family in np.unique(fit.stations.family)]
+    return max(float(np.median(np.abs(fit.distances_px[rows]))) for rows in used if rows.any())
+
+
+def _focal_alone(both: Estimate, known: Free, centre: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    """Logarithm of the focal length's change and its sigma, with the principal point moved to `centre`.
+
+    Where the principal point is not known, what it would change is uncertainty of the focal length; a lens
+    that is not known is estimated beside it.
+    """
+    C, x = both.covariance, both.parameters
+    held = [8, 9] if known.radial else [8, 9, terms.RADIAL]
+    pull = np.linalg.solve(C[np.ix_(held, held)], C[held, terms.FOCAL])
+    variance = C[terms.FOCAL, terms.FOCAL] - pull @ C[held, terms.FOCAL]
+    doubt = known.centre_sigma_px * np.linalg.norm(pull[:2]) if known.centre else 0.0
+    held_at = np.r_[centre, np.zeros(len(held) - 2)]
+    change = x[terms.FOCAL] + pull @ (held_at - x[held])
+    return float(change), float(np.hypot(np.sqrt(max(variance, 0.0)), doubt))
+
+
+def _free_camera(fit: Fit) -> Free:
+    # Priors so wide that they only keep untold directions finite.
+    width = float(fit.camera.width)
+    return replace(
+        fit.free,
+        focal=True,
+        centre=True,
+        radial=True,
+        nominal=None,
+        focal_sigma=1.0,
+        centre_sigma_px=width,
+        radial_sigma=min(fit.free.radial_sigma, ANY_RADIAL),
+    )
+
+
+def _fits_with_free_camera(
+    fit: Fit, picture: Float[np.ndarray, "h w"], field: Float[np.ndarray, "k 2"] | None
+) -> Iterator[Fit]:
+    """Fits with the focal length free, then with the principal point, then with the lens as well.
+
+    They grow from the camera's feet outwards: however wrong the camera, near joints lie where they are looked
+    for, and what they tell of the camera brings the farther ones within reach.
+    """
+    free = _free_camera(fit)
+    pinhole = replace(free, radial=fit.free.radial)
+    for growing, settling in (
+        (replace(pinhole, centre=False), pinhole),
+        (pinhole, pinhole),
+        (free, free),
+    ):
+        grown = refine(
+            picture,
+            fit.camera,
+            fit.cam_from_ground,
+            fit.grid,
+            free=growing,
+            search=WIDE_SEARCH,
+            reaches=FROM_THE_FEET,
+            strip=fit.strip,
+            field=field,
+        )
+        # Nothing can be measured near the feet of a camera that looks far ahead.
+        start = grown or fit
+        still = refine_until_still(
+            picture,
+            start.camera,
+            start.cam_from_ground,
+            start.grid,
+            free=settling,
+            search=0.0 if grown else 0.08,
+            reach=12.0,
+            strip=start.strip,
+            field=field,
+        )
+        if still is not None:
+            yield still
+
+
+def _contradiction(asked: Fit, told: Fit, motion: Estimate) -> tuple[float, Float[np.ndarray, "4"]]:
+    """Chi-square of the distance between the camera that was given for one fit and that of another's joints.
+
+    The distance itself comes along: logarithm of the focal length, the principal point in pixels, and the
+    first radial coefficient.
+    """
+    given, own, free = asked.free.nominal or asked.camera, told.camera, asked.free
+    moved = np.array(
+        [np.log(own.fx / given.fx), own.cx - given.cx, own.cy - given.cy, own.dist[0] - given.dist[0]]
+    )
+    asked_of = [terms.FOCAL, 8, 9, terms.RADIAL]
+    shift = motion.parameters[asked_of] + moved
+    corner = 0.5 * float(np.hypot(given.width, given.height)) / given.fx
+    tolerance = np.array(
+        [
+            FOCAL_TOLERANCE,
+            CENTRE_TOLERANCE * given.width,
+            CENTRE_TOLERANCE * given.width,
+            LENS_TOLERANCE * given.width / (given.fx * corner**3),
+        ]
+    )
+    known = np.array([free.focal_sigma, free.centre_sigma_px, free.centre_sigma_px, free.radial_sigma])
+    tolerance = np.maximum(tolerance, np.where(np.isfinite(known), known, 0.0))
+    C = motion.covariance[np.ix_(asked_of, asked_of)] + np.diag(tolerance**2)
+    return float(shift @ np.linalg.solve(C, shift)), shift

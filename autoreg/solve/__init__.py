@@ -1,0 +1,1 @@
+"""The least-squares solver on jax: residuals, steps, their compilation, and what a solve may change."""

@@ -1,0 +1,82 @@
+"""What a solve may change, and what it did: small motions of the pose, the camera and the lattice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.camera import Camera
+from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector
+from autoreg.ground.sides import Grid
+from autoreg.solve import joint_data as terms
+from autoreg.solve.joint_data import PARAMETERS
+from autoreg.solve.solver import Prior, Solution
+
+
+@dataclass(frozen=True)
+class Free:
+    """What the solve may change besides the pose, and how far a prior lets it go.
+
+    `step_sigma` holds every single solve near its start: so many radians, and heights of the camera. Joints
+    of one direction leave motions free that must not wander.
+    """
+
+    ratio: bool = False
+    focal: bool = False
+    centre: bool = False
+    radial: bool = False
+    nominal: Camera | None = None
+    focal_sigma: float = np.inf
+    centre_sigma_px: float = np.inf
+    radial_sigma: float = np.inf
+    step_sigma: float = np.inf
+
+    @property
+    def mask(self) -> Float[np.ndarray, " p"]:
+        """Ones for the free parameters."""
+        mask = np.zeros(PARAMETERS)
+        mask[:6] = 1.0
+        mask[terms.RATIO], mask[terms.FOCAL] = self.ratio, self.focal
+        mask[terms.CENTRE], mask[terms.RADIAL] = self.centre, self.radial
+        return mask
+
+    def prior(self, camera: Camera) -> Prior:
+        """What is known of a solve's parameters when it starts from `camera`: the nominal one is meant."""
+        mean, sigma = np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)
+        sigma[terms.FOCAL], sigma[terms.CENTRE] = self.focal_sigma, self.centre_sigma_px
+        sigma[terms.RADIAL] = self.radial_sigma
+        sigma[terms.ROTATION] = sigma[terms.TRANSLATION] = self.step_sigma
+        if self.nominal is not None:
+            mean[terms.FOCAL] = np.log(self.nominal.fx / camera.fx)
+            mean[terms.CENTRE] = self.nominal.cx - camera.cx, self.nominal.cy - camera.cy
+            mean[terms.RADIAL] = self.nominal.dist[0] - camera.dist[0]
+        return Prior(mean, sigma)
+
+
+def moved_pose(pose: Rigid, solution: Solution) -> Rigid:
+    """The pose after a solve's small motion."""
+    p = solution.parameters
+    turn = rotation_from_vector(p[terms.ROTATION])
+    return Rigid(nearest_rotation(turn @ pose.R), turn @ pose.t + p[terms.TRANSLATION])
+
+
+def moved_camera(camera: Camera, solution: Solution) -> Camera:
+    """The camera after a solve."""
+    p = solution.parameters
+    if not p[terms.FOCAL :].any():
+        return camera
+    focal = float(np.exp(p[terms.FOCAL]))
+    dx, dy = (float(v) for v in p[terms.CENTRE])
+    dist = (camera.dist[0] + float(p[terms.RADIAL]), *camera.dist[1:])
+    return replace(
+        camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + dx, cy=camera.cy + dy, dist=dist
+    )
+
+
+def stretched(grid: Grid, solution: Solution) -> Grid:
+    """The lattice after a solve."""
+    half = 0.5 * float(solution.parameters[terms.RATIO])
+    a = None if grid.spacing_x is None else grid.spacing_x * float(np.exp(half))
+    return replace(grid, spacing_x=a, spacing_y=grid.spacing_y * float(np.exp(-half)))
