@@ -88,10 +88,10 @@ def find_paving(
         if not best or best[0].margin_nats <= 0:
             plain = suitable(_by_other_focals(looks, ranked, free)) if camera is None else ()
             if not _certain(plain):
-                rows, plane = _find_rows(looks, segments, sight.size, ranked, best)
-                plain = suitable(_by_cross_joints(looks, rows, plane, free))
+                fields = _fields_of_rows(looks, segments, sight.size, ranked)
+                plain = suitable(_by_cross_joints(looks, *fields[0], free)) if fields else ()
                 if not plain or plain[0].margin_nats <= 0:
-                    return rows
+                    return _rows_alone(fields, best)
             best = plain
     return _unrivalled(best)
 
@@ -104,8 +104,8 @@ def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
     looks, segments = sight.looks, sight.segments
     _, hypotheses = _hypotheses(segments, sight.size, camera)
     planes = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
-    rows = _best_rows(looks, segments, sight.size, planes)[0]
-    return rows if rows is not None and rows.margin_nats > 0 else None
+    fields = _fields_of_rows(looks, segments, sight.size, planes)
+    return next((rows for rows, _ in fields if not rows.in_columns), None)
 
 
 def _by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tuple[Paving, ...]:
@@ -179,28 +179,22 @@ def _by_cross_joints(looks: Looks, rows: Rows, plane: PlaneCombs, free: Free) ->
     return () if laid is None else (laid,)
 
 
-def _find_rows(
-    looks: Looks,
-    segments: Segments,
-    size: tuple[int, int],
-    planes: list[PlaneCombs],
-    rejected: tuple[Paving, ...],
-) -> tuple[Rows, PlaneCombs]:
-    """The rows that explain the photo best, where no lattice does better than chance, and their plane.
+def _fields_of_rows(
+    looks: Looks, segments: Segments, size: tuple[int, int], planes: list[PlaneCombs]
+) -> list[tuple[Rows, PlaneCombs]]:
+    """Rows that do better than chance on some planes, with their planes, the clearest first."""
+    fields = [(lay_rows(looks.picture, plane, segments, size), plane) for plane in planes]
+    found = [(rows, plane) for rows, plane in fields if rows is not None and rows.margin_nats > 0]
+    return sorted(found, key=lambda field: -field[0].margin_nats)
+
+
+def _rows_alone(fields: list[tuple[Rows, PlaneCombs]], rejected: tuple[Paving, ...]) -> Rows:
+    """The clearest of some rows that are of no bond, where no lattice does better than chance.
 
     Raises:
-        Refusal: they do no better than chance either.
+        Refusal: there are none.
     """
-    rows, plane = _best_rows(looks, segments, size, planes)
-    if rows is None or plane is None or rows.margin_nats <= 0:
-        raise no_lattice(rejected[0] if rejected else None, rows)
-    return rows, plane
-
-
-def _best_rows(
-    looks: Looks, segments: Segments, size: tuple[int, int], planes: list[PlaneCombs]
-) -> tuple[Rows | None, PlaneCombs | None]:
-    """The clearest rows on any of some planes, and their plane."""
-    fields = [(lay_rows(looks.picture, plane, segments, size), plane) for plane in planes]
-    found = [(rows, plane) for rows, plane in fields if rows is not None]
-    return max(found, key=lambda pair: pair[0].margin_nats, default=(None, None))
+    alone = next((rows for rows, _ in fields if not rows.in_columns), None)
+    if alone is None:
+        raise no_lattice(rejected[0] if rejected else None, None)
+    return alone

@@ -61,3 +61,15 @@ def test_an_unknown_focal_length_is_told_by_all_segments(stack_photo: SyntheticP
     sight = sight_of(stack_photo)
     with pytest.raises(Waited):
         find_paving(with_detection(sight, sight.detection.coarse, Waited()), None)
+
+
+def test_a_running_bond_that_only_its_cross_joints_tell_is_found_by_them(
+    half_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
+):
+    # As if no lattice of whole lines, nor one of courses, had been seen.
+    monkeypatch.setattr("autoreg.search.lay_combs", lambda *_: None)
+    monkeypatch.setattr("autoreg.search.lay_lattice", lambda *_: ())
+    found = find_paving(sight_of(half_photo), half_photo.camera)
+    assert isinstance(found, Paving)
+    assert found.grid.shift == 0.5
+    assert found.margin_nats > 0

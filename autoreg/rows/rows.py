@@ -54,6 +54,11 @@ class Rows:
         x, y = self.paving.evidence_nats
         return min(x - 0.5 * TESTED_NATS - FALSE_ALARM_NATS, y - FALSE_ALARM_NATS)
 
+    @property
+    def in_columns(self) -> bool:
+        """Whether the cross joints follow a law from row to row, as those of a bond or of herringbone do."""
+        return in_columns(self.cross, self.paving.fit.grid.spacing_y)
+
 
 def lay_rows(
     picture: Float[np.ndarray, "h w"], plane: PlaneCombs, segments: Segments, size: tuple[int, int]
@@ -99,12 +104,10 @@ def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int,
     if len(presence.p) < 6:
         return None
     field = field_polygon(presence)
-    if _interrupted(picture, fit, field):
-        return None
     cross = find_cross_joints(segments, fit, field, size)
-    if len(cross.middle) == 0 or in_columns(cross, fit.grid.spacing_y) or not _evenly_spaced(presence, field):
+    if len(cross.middle) == 0 or not _evenly_spaced(presence, field):
         return None
-    if along_rows(segments, fit, field, size).contradict:
+    if along_rows(segments, fit, field, size).contradict or _interrupted(picture, fit, field):
         return None
     x, _ = line_evidence(presence, fit.grid)
     middle = np.median(cross.middle, axis=0)
