@@ -72,3 +72,13 @@ def test_joints_of_one_tone_stay_where_they_are(changed: dict[str, float], width
     scene = replace(LIT, **changed)  # type: ignore[arg-type]
     fit = fit_of(scene, width, DARK, REACH)
     assert abs(nearer(beside_lit_walls(fit), scene)) < 0.08
+
+
+@pytest.mark.parametrize("width", [0.003, 0.006])
+def test_thin_joints_that_are_thought_too_wide_have_no_walls_in_the_light(width: float):
+    # A width that is hardly told beside the blur may come out too large by half or more.
+    scene = replace(LIT, joint_depth_m=0.0, joint_width_m=width)
+    fit = fit_of(scene, width, DARK, REACH)
+    too_wide = replace(fit, strip=replace(fit.strip, width=(1.25 * fit.strip.width[0], fit.strip.width[1])))
+    assert too_wide.strip.width[0] > 1.5 * width
+    assert not beside_lit_walls(too_wide).rimmed.any()

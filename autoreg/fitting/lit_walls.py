@@ -41,6 +41,9 @@ LEAST_NATS, HOPELESS_NATS = 20.0, -40.0
 # Joints that look narrower than this share of those across them, or light where those are dark, may well hide
 # a part: so much likelier is enough for them.
 NARROWER, LEAST_NATS_HIDING = 0.9, 5.0
+# Other joints' widths tell that these hide a part; without that they may be as narrow as they look, by these
+# shares of the width that a strip fits to all of them, blurred far ones among them.
+AS_NARROW = (1.0, 0.9, 0.8, 0.7, 0.6)
 # Roughness of slabs that no profile is without, as a share of their tone.
 ROUGH = 0.02
 # Keeps tones of parts that are hidden finite.
@@ -95,10 +98,12 @@ def _looks_of(side: _Side, strip: Strip, family: int, width: float) -> tuple[flo
     wide = np.flatnonzero(width * side.px_per_unit > LEAST_BLURS * side.blur_px)
     if len(wide) < FEWEST or np.median(side.slope[wide]) < LEAST_MEDIAN_SLOPE:
         return None
-    narrower = strip.width[family] < NARROWER * width
+    own = strip.width[family]
+    narrower = own < NARROWER * width
     lighter = strip.polarity[family] > 0 > strip.polarity[1 - family]
     least_nats = LEAST_NATS_HIDING if narrower or lighter else LEAST_NATS
-    return _likeliest_looks(side.take(wide), strip.width[family], width, least_nats)
+    plain = (own, width) if narrower else tuple(share * own for share in AS_NARROW)
+    return _likeliest_looks(side.take(wide), plain, width, least_nats)
 
 
 def _measured(
@@ -146,17 +151,18 @@ def _side_of(
 
 
 def _likeliest_looks(
-    side: _Side, own_width: float, width: float, least_nats: float
+    side: _Side, plain_widths: tuple[float, ...], width: float, least_nats: float
 ) -> tuple[float, float] | None:
     """How high the light reaches and how light the wall is; None if strips of one tone fit as well.
 
-    Climbs from the best of a few guesses over the values that are tried.
+    These may have any of the `plain_widths`. Climbs from the best of a few guesses over the values that are
+    tried.
     """
     # The widest show their parts best; every other one of them, so that they are not all of the same slabs.
     widest = np.argsort(-side.px_per_unit, kind="stable")
     side = side.take(np.sort(widest[: 2 * SAMPLE : 2 if len(widest) > SAMPLE else 1]))
     values = 0.5 * INDEPENDENT * side.weight.sum(1)
-    plain = min(float(values @ _fitted(side, each, 0.0, 1.0)[0]) for each in {own_width, width})
+    plain = min(float(values @ _fitted(side, each, 0.0, 1.0)[0]) for each in set(plain_widths))
 
     @cache
     def nats(height: int, wall: int) -> float:
