@@ -92,6 +92,33 @@ def test_the_jitter_of_the_slabs_is_found_from_the_residuals() -> None:
     assert settle(fitted(0.002, 1)).scatter.place == pytest.approx(0.002, rel=0.5)
 
 
+@cache
+def coursed(jitter_m: float, course_jitter_m: float, seed: int) -> Fit:
+    scene = replace(SCENE, jitter_m=jitter_m, course_jitter_m=course_jitter_m, seed=seed)
+    return fit_to(as_gray(render_paving(scene).pixels).astype(np.float32), Grid(0.4, 0.4), 1.0)
+
+
+def test_courses_that_lie_aside_are_told_from_slabs_that_do() -> None:
+    whole, single = (settle(coursed(*sizes, 1)).scatter for sizes in ((0.0003, 0.002), (0.002, 0.0)))
+    assert whole.course == pytest.approx(0.002, rel=0.5)
+    assert whole.course > 1.5 * whole.place
+    assert single.course < 0.7 * single.place
+    assert single.place == pytest.approx(0.002, rel=0.5)
+
+
+def test_the_truth_lies_within_the_stated_uncertainty_of_uneven_courses() -> None:
+    found = []
+    for seed in range(8):
+        settled = settle(coursed(0.0005, 0.002, seed))
+        turned = vector_from_rotation(settled.fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)
+        moved = settled.fit.cam_from_ground.t - SCENE.cam_from_ground.t
+        error = np.r_[turned, moved]
+        found.append(error @ np.linalg.solve(settled.covariance, error))
+    # Chi-square of 6 degrees of freedom: 99.9 % lie below 22.5, half of them below 5.3.
+    assert max(found) < 22.5
+    assert 1.0 < np.median(found) < 10.0
+
+
 def test_settling_lands_nearer_to_the_truth_than_the_fit_with_independent_stations() -> None:
     def miss(fit: Fit) -> float:
         return float(np.linalg.norm(vector_from_rotation(fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)))

@@ -63,7 +63,7 @@ def rested(
     # The grey levels are held against flat joints, and sunk ones look much like these at another pose.
     if settled.narrowing > SUNK:
         return settled
-    if settled.scatter.place * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
+    if settled.scatter.aside * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
         return settled
     # Joints that may be sunk a little may be off as much as sunk ones.
     together = slab_effects.TOGETHER if settled.scatter.relief > 0 else photometric.TOGETHER

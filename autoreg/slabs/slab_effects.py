@@ -36,6 +36,9 @@ TOGETHER, LATE = 0.03, 4.0
 # Where a family shows as steps of tone only, these lie at a rim of its joints, may be off together by more,
 # and by less of the shifts that the other family's widths tell, since no widths of their own say how far.
 STEPS_TOGETHER, STEPS_RELIEF = 0.2, 0.25
+# Light joints lie in the shadow of their slabs' rims, of which nothing is seen on a dark bed: where they are
+# a millimetre deep it takes some hundredths of a usual width.
+LIGHT_TOGETHER = 0.05
 # What joints that were measured from their near rims may be off by together, as a share of their width. Their
 # walls are allowed for already: no relief is asked of them.
 RIMMED_TOGETHER = 0.05
@@ -160,7 +163,8 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     own: list[np.ndarray] = []
     for each in (ALONG_X, ALONG_Y):
         mine = full * (family == each)
-        together = np.where(rimmed, RIMMED_TOGETHER, STEPS_TOGETHER if each in steps else TOGETHER)
+        unseen = LIGHT_TOGETHER if fit.strip.polarity[each] > 0 else TOGETHER
+        together = np.where(rimmed, RIMMED_TOGETHER, STEPS_TOGETHER if each in steps else unseen)
         own.append(shapes * (together * mine)[:, None])
         own += [walls * (way * mine * (way * slope > 0))[:, None] for way in (-1.0, 1.0)]
     return joints.middles_only(_in_fewer_columns(np.concatenate(own, 1)))
@@ -208,6 +212,22 @@ def bow_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 3"]:
     x, y = ((2 * ground - low - high) / extent).T
     rise = extent * joints.px_per_unit * _slope(joints)
     return joints.middles_only(rise[:, None] * np.stack([x * x, y * y, x * y], 1))
+
+
+def course_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n c"]:
+    """Pixels that the joints of each line move where they lie aside together, by a unit.
+
+    Paving is laid course by course, along a string. Across the unbroken joints of a running bond it is the
+    cross joints of one course that lie in line.
+    """
+    fit = joints.fit
+    stations = fit.stations.take(joints.rows)
+    in_course = (stations.family == ALONG_Y) & (fit.grid.shift != 0)
+    line = np.where(in_course, stations.cell, stations.line)
+    names, member = np.unique(np.stack([stations.family, line], 1), axis=0, return_inverse=True)
+    moved = np.zeros((len(joints.rows), len(names)))
+    moved[np.arange(len(member)), member.ravel()] = joints.px_per_unit
+    return joints.middles_only(moved)
 
 
 def bloom_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:

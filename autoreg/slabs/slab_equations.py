@@ -23,6 +23,7 @@ from autoreg.slabs.slab_effects import (
     bloom_effects,
     bow_effects,
     common_effects,
+    course_effects,
     relief_effects,
     slab_effects,
     width_effects,
@@ -39,7 +40,8 @@ GROSS_SIGMAS = 4.0
 # How much larger bright tiles may look that meet without a joint, beyond what the fit has taken off already.
 BLOOM_PX = 0.1
 
-Sizes = tuple[float, float, float]
+# Of a slab's place, and as shares of it: lift, turn, and what the joints of one line lie aside together.
+Sizes = tuple[float, float, float, float]
 
 
 class _Normal(NamedTuple):
@@ -51,7 +53,7 @@ class _Normal(NamedTuple):
 
 
 class SlabEquations:
-    """The linear mixed model of one fit's residuals; sizes are (place, lift / place, turn / place)."""
+    """The linear mixed model of one fit's residuals."""
 
     def __init__(
         self,
@@ -88,9 +90,12 @@ class SlabEquations:
             bow * bow_effects(joints),
             BLOOM_PX * bloom_effects(joints),
         )
-        # Which of these columns are scaled by the size of the relief.
-        self.relief = np.repeat([True, False], [relief.shape[1], sum(effect.shape[1] for effect in others)])
-        self.columns = np.c_[J * self.unit, relief, *others, joints.off_px]
+        course = course_effects(joints)
+        # Which of these columns are scaled by the sizes of the relief and of the courses' places.
+        counts = [relief.shape[1], sum(effect.shape[1] for effect in others), course.shape[1]]
+        self.relief, self.course = (np.repeat(of, counts) for of in np.eye(3, dtype=bool)[[0, 2]])
+        self.columns = np.c_[J * self.unit, relief, *others, course, joints.off_px]
+        self.course_squares = (course**2).sum(1)
         self.begun_anew()
 
     def begun_anew(self) -> SlabEquations:
@@ -133,8 +138,9 @@ class SlabEquations:
 
     def factor(self, sizes: Sizes) -> None:
         """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
-        place, lift, turn = sizes
+        place, lift, turn, course = sizes
         self.scale = np.array([place, place * lift, place * turn])[self.kind]
+        self.course_size = place * course
         band = np.zeros((int(self.below[-1]) + 1, len(self.scale)))
         both = self.scale[self.column] * self.scale[self.column + self.below]
         band[self.below, self.column] = self.products * both
@@ -155,7 +161,7 @@ class SlabEquations:
     def misfit(self, relief: float) -> float:
         """How much more the stations that share something agree than in pictures drawn from the model."""
         p, k = len(self.free), len(self.relief)
-        X = self.columns[:, :-1] * np.r_[np.ones(p), np.where(self.relief, relief, 1.0)]
+        X = self.columns[:, :-1] * np.r_[np.ones(p), self._sized(np.array([relief]))[0]]
         random = np.random.default_rng(0)
         drawn = np.sqrt(self.D)[:, None] * random.standard_normal((len(X), DRAWS))
         drawn += self.Z @ (self.scale[:, None] * random.standard_normal((len(self.scale), DRAWS)))
@@ -166,11 +172,15 @@ class SlabEquations:
         pulls = self._whitened(y - X @ (inverse @ (VX.T @ y)))
         return drawn_design_effect(X, inverse, pulls, self.joints.shared, 6)
 
+    def _sized(self, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, "r k"]:
+        """Sizes of the effects that are no slab's own, for each size of the relief."""
+        others = np.where(self.course, self.course_size, 1.0)
+        return np.where(self.relief, reliefs[:, None], others)
+
     def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
         """Normal equations of the motion and the relief's shifts, for each size of the relief."""
         p, k = len(self.free), len(self.relief)
-        scale = np.ones((len(reliefs), p + k))
-        scale[:, p:][:, self.relief] = reliefs[:, None]
+        scale = np.concatenate([np.ones((len(reliefs), p)), self._sized(reliefs)], 1)
         # A direction that nothing tells (along the joints of rows) stays where it is, and unknown.
         little = 1e-10 * np.diag(self.gram)[:p]
         known = np.r_[self.known + little, np.ones(k)]
@@ -200,8 +210,9 @@ class SlabEquations:
         left = self.columns @ np.r_[x, 1.0]
         own = self.D * self._whitened(left[:, None])[:, 0]
         # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
-        place, lift, turn = sizes
+        place, lift, turn, course = sizes
         variance = self.joints.noise_px**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
+        variance += self.course_squares * (place * course) ** 2
         deviation = np.abs(left) / np.sqrt(variance)
         gross = deviation > GROSS_SIGMAS * max(1.48 * float(np.median(deviation)), 1e-6)
         self.weight = np.where(gross, 1e-6, 1.0 / (1.0 + own**2 / (CAUCHY_SIGMAS**2 * self.D * self.weight)))

@@ -2,16 +2,16 @@
 
 The places of neighbouring joints are no independent measurements. Each joint lies off its line by
 
-    J dp + place + lift + turn of the slabs on either side + relief + common shift + bloom + noise,
+    J dp + place + lift + turn of the slabs on either side + course + relief + common shift + bloom + noise,
 
-where every slab's place, height and turn are random, and the relief is the shift of a joint seen aslant: a
-lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. What the
-joints of a family are off by together beyond that shows in no residual: its size is that measured on
-ray-traced pavings. Where both edges of a joint are told apart, its width is a second measurement, off by all
-of these but J dp. Bright tiles that meet dark ones without a joint bloom: every edge is moved towards the
-dark one. This is a linear mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the
-sizes of the random effects come from the photo's own residuals by restricted maximum likelihood, and the
-pose by generalised least squares.
+where every slab's place, height and turn are random, and so is the place of every course, whose slabs were
+laid along one string. The relief is the shift of a joint seen aslant: a lit wall of the far slab looks like
+the slab, and so the joint looks narrower and nearer than it is. What the joints of a family are off by
+together beyond that shows in no residual: its size is that measured on ray-traced pavings. Where both edges
+of a joint are told apart, its width is a second measurement, off by all of these but J dp. Bright tiles that
+meet dark ones without a joint bloom: every edge is moved towards the dark one. This is a linear mixed model
+(Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the sizes of the random effects come from the
+photo's own residuals by restricted maximum likelihood, and the pose by generalised least squares.
 """
 
 from __future__ import annotations
@@ -26,9 +26,14 @@ from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
 from autoreg.solve.joint_data import PARAMETERS
 from autoreg.solve.solver import Prior
 
-# What is tried in turn: factors of the place's size, and sizes of lift and turn as shares of it.
-WIDE_SEARCHES = (((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5)), ((0.75, 1.3), (), ()))
-NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), ()),)
+# What is tried in turn: factors of the place's size, and sizes of lift, turn and courses as shares of it,
+# from those that are tried first.
+WIDE_SEARCHES = (
+    ((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5), (0.0, 0.8, 2.0)),
+    ((0.5, 0.75, 1.3), (), (), (0.0, 0.8, 2.0, 5.0)),
+)
+FIRST = (0.33, 0.25, 0.3)
+NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0)),)
 # Factors of the likeliest place's size over which the answer is averaged.
 LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
 # Where the widths tell the relief, its shape varies beyond the model: the variance is this much larger, as
@@ -44,15 +49,22 @@ BOW = 0.0015
 class Scatter:
     """Standard deviations of the slabs' irregularity, in the unit of the pose (`turn` in radians).
 
-    `lift` and `turn` are of slabs, like `place`; `relief` is a share of half the joint's width. `misfit` is
-    the factor, in variance, by which joints agree on being off beyond what all of these explain.
+    `lift` and `turn` are of slabs, like `place`; `course` is what the joints of one line lie aside together;
+    `relief` is a share of half the joint's width. `misfit` is the factor, in variance, by which joints agree
+    on being off beyond what all of these explain.
     """
 
     place: float
     lift: float
     turn: float
+    course: float
     relief: float
     misfit: float
+
+    @property
+    def aside(self) -> float:
+        """Standard deviation of what slabs lie aside, by their own places and by those of their courses."""
+        return float(np.hypot(self.place, self.course))
 
 
 @dataclass(frozen=True)
@@ -115,9 +127,9 @@ def estimate_motion(
     parameters, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
     parameters[model.free] = mean * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
-    place, lift, turn = sizes
+    place, lift, turn, course = sizes
     relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
-    scatter = Scatter(place, place * lift, place * turn / model.side, relief, misfit)
+    scatter = Scatter(place, place * lift, place * turn / model.side, place * course, relief, misfit)
     return Estimate(parameters, covariance, scatter)
 
 
@@ -142,10 +154,11 @@ def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes,
         joints = model.joints
         off_px = np.abs(joints.off_px[: len(joints.rows)])
         ground = 1.48 * float(np.median(off_px / joints.px_per_unit)) + 1e-12
-        best, relief, searches = (ground, 0.33, 0.25), 0.5, WIDE_SEARCHES
+        best, relief, searches = (ground, *FIRST), 0.5, WIDE_SEARCHES
     else:
         lift, turn = near.lift / near.place, near.turn * model.side / near.place
-        best, relief, searches = (near.place, lift, turn), near.relief, NEAR_SEARCHES
+        course = near.course / near.place
+        best, relief, searches = (near.place, lift, turn, course), near.relief, NEAR_SEARCHES
     model.reweigh(best, relief)
     for search in searches:
         score, relief = max((value, r) for r, value in model.evidence(best).items())
@@ -154,7 +167,7 @@ def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes,
             for option in options:
                 sizes = list(centre)
                 sizes[axis] = option if axis else option * centre[0]
-                tried = (sizes[0], sizes[1], sizes[2])
+                tried = (sizes[0], sizes[1], sizes[2], sizes[3])
                 likelihood, likeliest = max((v, r) for r, v in model.evidence(tried).items())
                 if likelihood > score:
                     score, relief, best = likelihood, likeliest, tried

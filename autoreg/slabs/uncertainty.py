@@ -29,6 +29,8 @@ DOUBT, UNEVEN, MISSED = 1.0, 0.01, 0.15
 # To be believed, a free camera must lower the share of joints that are missed to this, and may leave them so
 # much farther from their lines; or it must lower the slabs' scatter and the joints' distances to these.
 FEWER, ROUGHER, EVENER, SMOOTHER = 0.5, 1.1, 0.8, 0.95
+# ... by so many standard deviations of such a scatter, too, as few slabs or courses tell it.
+CLEARLY_SIGMAS = 2.0
 # Slabs that scatter by less, in pixels, are even.
 EVEN_PX = 0.02
 
@@ -128,10 +130,10 @@ def check_camera(
     both = estimate_motion(fit, free.mask, free.prior(fit.camera), scatter, bow=BOW, widths=False)
     chi_square, shift = _contradiction(fit, fit, both)
     customary = customary_shift(fit.grid.shift)
-    uneven = both.scatter.place > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
+    uneven = both.scatter.aside > UNEVEN * min(fit.grid.spacing_x or np.inf, fit.grid.spacing_y)
     doubted = uneven or chi_square > DOUBT or fit.missed > MISSED or customary != fit.grid.shift
     if picture is not None and doubted:
-        before = both.scatter.place
+        before = both.scatter.aside
         usual = replace(fit, grid=replace(fit.grid, shift=customary))
         for freed in _fits_with_free_camera(usual, picture, field):
             motion = estimate_motion(
@@ -139,14 +141,17 @@ def check_camera(
             )
             # A free camera that neither makes the slabs evener nor meets more joints is no better one.
             px = float(np.median(fit.profiles.px_per_unit[fit.usable]))
-            evener = motion.scatter.place < EVENER * both.scatter.place and both.scatter.place * px > EVEN_PX
+            evener = (
+                motion.scatter.aside < _clearly_evener(fit, both.scatter)
+                and both.scatter.aside * px > EVEN_PX
+            )
             met = freed.missed < FEWER * fit.missed
             rough, was = _roughness(freed), _roughness(fit)
             if (met and rough < ROUGHER * was) or (evener and rough < SMOOTHER * was):
                 chi_square, shift = _contradiction(given, freed, motion)
                 fit, both = freed, motion
             # A camera that is wrong is worth the time to find the right one.
-            if both.scatter.place < 0.5 * before and chi_square < CONTRADICTION:
+            if both.scatter.aside < 0.5 * before and chi_square < CONTRADICTION:
                 break
     centre = np.array([given.camera.cx - fit.camera.cx, given.camera.cy - fit.camera.cy])
     log_focal, sigma = _focal_alone(both, given.free, centre)
@@ -155,6 +160,14 @@ def check_camera(
     return CameraCheck(
         consistent, focal, focal * sigma, float(shift[0]), shift[1:3], float(shift[3]), chi_square
     )
+
+
+def _clearly_evener(fit: Fit, scatter: Scatter) -> float:
+    """Below what a scatter is clearly less than the given one, which the fit's slabs or courses told."""
+    shared = fit.stations.line if scatter.course > scatter.place else fit.stations.side
+    told = len(np.unique(np.stack([fit.stations.family, shared], 1)[fit.usable], axis=0))
+    # The standard deviation of a standard deviation that n values tell, as a share of it.
+    return min(EVENER, 1.0 - CLEARLY_SIGMAS / float(np.sqrt(2.0 * told))) * scatter.aside
 
 
 def _roughness(fit: Fit) -> float:

@@ -66,6 +66,11 @@ class Ground:
         heights, slab_turns = rng.spawn(1)[0].standard_normal((2, TABLE, TABLE))
         self._lift = np.clip(heights, -2.5, 2.5) * scene.lift_m
         self._slab_turn = slab_turns * scene.slab_turn_rad
+        courses = np.clip(rng.spawn(1)[0].standard_normal((2, TABLE)), -2.5, 2.5)
+        beside, along = courses * scene.course_jitter_m
+        self._shift_y += beside[:, None]
+        # The courses of a running bond move along X, each with its cross joints; else columns do.
+        self._shift_x += along[:, None] if scene.shift else along
 
     def tone(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
         """Grey levels of ground samples whose footprints are `width` wide."""

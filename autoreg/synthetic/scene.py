@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -44,6 +45,8 @@ class SyntheticScene:
         texture: standard deviation of the stone's texture, relative.
         jitter_m: standard deviation of each slab's place along X and along Y; it must stay under a fifth of
             the joint's width, so that slabs do not touch.
+        course_jitter_m: standard deviation of the place of each whole line of slabs, besides; together they
+            must stay under that fifth.
         joint_depth_m: how deep the bed of the joints of "lattice" lies under the slabs' tops; 0 paints flat
             joints, whatever the sun.
         lift_m: standard deviation of each slab's height (at most 2.5 times that), at most 0.4 of the joints'
@@ -78,6 +81,7 @@ class SyntheticScene:
     tone_spread: float = 0.04
     texture: float = 0.03
     jitter_m: float = 0.0
+    course_jitter_m: float = 0.0
     turn_rad: float = 0.0
     lean_rad: float = 0.0
     joint_depth_m: float = 0.0
@@ -100,10 +104,10 @@ class SyntheticScene:
             raise ValueError(
                 f"joint_width_m must be under the spacing {self.spacing_m} m, got {self.joint_width_m} m"
             )
-        if self.jitter_m > 0.2 * self.joint_width_m:
+        if math.hypot(self.jitter_m, self.course_jitter_m) > 0.2 * self.joint_width_m:
             raise ValueError(
-                f"jitter_m must be at most a fifth of joint_width_m = {self.joint_width_m} m, "
-                f"got {self.jitter_m} m"
+                "jitter_m and course_jitter_m together must be at most a fifth of joint_width_m = "
+                f"{self.joint_width_m} m, got {self.jitter_m} m and {self.course_jitter_m} m"
             )
         if self.samples < 1:
             raise ValueError(f"samples must be at least 1, got {self.samples}")

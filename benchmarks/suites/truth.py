@@ -28,12 +28,13 @@ ELEVATIONS_DEG, SKY_LIGHT = (25.0, 65.0), (0.3, 0.6)
 
 @dataclass(frozen=True)
 class Regime:
-    """A kind of paving: jitter and side in metres, and whether its joints are sunk or printed."""
+    """A kind of paving: jitter and side in metres, whether its joints are sunk, and the jitter of courses."""
 
     name: str
     jitter_m: float
     side_m: float
     sunk: bool = True
+    course_m: float = 0.0
 
 
 REGIMES = (
@@ -42,6 +43,7 @@ REGIMES = (
     Regime("irregular, many", 0.0015, 0.3),
     Regime("irregular", 0.0015, 0.5),
     Regime("irregular, few", 0.002, 1.0),
+    Regime("irregular courses", 0.001, 0.5, course_m=0.0015),
     Regime("printed", 0.0, 0.5, sunk=False),
 )
 
@@ -75,8 +77,9 @@ def draw(regime: Regime, seed: int) -> SyntheticScene:
         noise_grey=rng.uniform(1, 3),
         texture=rng.uniform(0.02, 0.06),
         # Slabs that lie a lot aside have joints in which they can.
-        joint_width_m=max(rng.uniform(*WIDTHS_M), 5 * regime.jitter_m),
+        joint_width_m=max(rng.uniform(*WIDTHS_M), 5 * float(np.hypot(regime.jitter_m, regime.course_m))),
         jitter_m=regime.jitter_m,
+        course_jitter_m=regime.course_m,
         colour=False,
         seed=seed,
     )
@@ -131,13 +134,14 @@ def run(options: Options) -> Result:
         about=(
             f"{seeds} random pavings for each regime (800 x 600, tilt 25° to 65°, noise 1 to 3 grey "
             "levels), fitted by the last stage from the truth; the pose and covariance are those that "
-            "`align` reports. Joints are 8 to 14 mm wide and 3 to 8 mm deep, in a sun 25° to 65° high from "
-            "anywhere, with 30 to 60 % of the light from the sky. Irregular slabs lie aside by a standard "
-            "deviation of 1.5 or 2 mm, too high or low by half of that, and turned by 0.05°; even ones have "
-            "joints as if sawn. The last regime is printed: flat joints whose two sides look alike, through "
-            "a perfect lens, are covered too often, as the covariance allows for more than that. Every "
-            "regime counts. Errors are normalised by the stated covariance; the medians should be 2.4 "
-            "(rotation), 5.3 (pose) and 0.45 (focal)."
+            "`align` reports. Joints are 8 to 14 mm wide and 3 to 8 mm deep, in a sun 25° to 65° high "
+            "from anywhere, with 30 to 60 % of the light from the sky. Irregular slabs lie aside by a "
+            "standard deviation of 1.5 or 2 mm (with irregular courses by 1 mm, and the courses as a "
+            "whole by 1.5 mm), too high or low by half of that, and turned by 0.05°; even ones have "
+            "joints as if sawn. The last regime is printed: flat joints whose two sides look alike, "
+            "through a perfect lens, are covered too often, as the covariance allows for more than that. "
+            "Every regime counts. Errors are normalised by the stated covariance; the medians should be "
+            "2.4 (rotation), 5.3 (pose) and 0.45 (focal)."
         ),
         figures=(
             Figure("truth.pose", covered([o.pose for o in found], 6)),
