@@ -45,11 +45,11 @@ Sizes = tuple[float, float, float, float]
 
 
 class _Normal(NamedTuple):
-    """Restricted log likelihood, solution and normal matrix, for each size of the relief."""
+    """Restricted log likelihood, solution and the motion's covariance, for each size of the relief."""
 
     value: Float[np.ndarray, " r"]
     x: Float[np.ndarray, "r k"]
-    H: Float[np.ndarray, "r k k"]
+    covariance: Float[np.ndarray, "r p p"]
 
 
 class SlabEquations:
@@ -63,6 +63,7 @@ class SlabEquations:
         bow: float,
         rows: Int[np.ndarray, " n"],
         widths: bool,
+        courses: bool = True,
     ) -> None:
         self.free = np.flatnonzero(mask)
         self.joints = joints = measured_joints(fit, rows, widths=widths)
@@ -90,22 +91,21 @@ class SlabEquations:
             bow * bow_effects(joints),
             BLOOM_PX * bloom_effects(joints),
         )
-        course = course_effects(joints)
+        course = course_effects(joints)[:, : None if courses else 0]
         # Which of these columns are scaled by the sizes of the relief and of the courses' places.
         counts = [relief.shape[1], sum(effect.shape[1] for effect in others), course.shape[1]]
         self.relief, self.course = (np.repeat(of, counts) for of in np.eye(3, dtype=bool)[[0, 2]])
         self.columns = np.c_[J * self.unit, relief, *others, course, joints.off_px]
         self.course_squares = (course**2).sum(1)
-        self.begun_anew()
+        self.begin_anew()
 
-    def begun_anew(self) -> SlabEquations:
-        """This model with the weights that the joints' distances alone give."""
+    def begin_anew(self) -> None:
+        """Go back to the weights that the joints' distances alone give."""
         joints = self.joints
         narrower = np.abs(joints.off_px[len(joints.rows) :])
         usual = np.r_[joints.fit.sigma_px[joints.rows], np.full(len(narrower), 1.48 * _median(narrower))]
         self.weight = 1.0 / (1.0 + (joints.off_px / (CAUCHY_SIGMAS * usual)) ** 2)
         self._weigh()
-        return self
 
     def _pair_up(self) -> None:
         """Where the products of Z's entries stand in the band of Z' D^-1 Z, whatever D is.
@@ -161,42 +161,65 @@ class SlabEquations:
     def misfit(self, relief: float) -> float:
         """How much more the stations that share something agree than in pictures drawn from the model."""
         p, k = len(self.free), len(self.relief)
-        X = self.columns[:, :-1] * np.r_[np.ones(p), self._sized(np.array([relief]))[0]]
+        size = self._sized(relief)
+        X = self.columns[:, :-1] * size
         random = np.random.default_rng(0)
         drawn = np.sqrt(self.D)[:, None] * random.standard_normal((len(X), DRAWS))
         drawn += self.Z @ (self.scale[:, None] * random.standard_normal((len(self.scale), DRAWS)))
         drawn += X[:, p:] @ random.standard_normal((k, DRAWS))
         VX = self._whitened(X)
-        inverse = np.linalg.inv(self._normal(np.array([relief])).H[0])
+        inverse = np.linalg.inv(self.gram[:-1, :-1] * size * size[:, None] + np.diag(self._prior()[0]))
         y = np.column_stack([self.joints.off_px, drawn])
         pulls = self._whitened(y - X @ (inverse @ (VX.T @ y)))
         return drawn_design_effect(X, inverse, pulls, self.joints.shared, 6)
 
-    def _sized(self, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, "r k"]:
-        """Sizes of the effects that are no slab's own, for each size of the relief."""
-        others = np.where(self.course, self.course_size, 1.0)
-        return np.where(self.relief, reliefs[:, None], others)
+    def _sized(self, relief: float) -> Float[np.ndarray, " k"]:
+        """Sizes of all columns: one for the motion and for the effects that have no size of their own."""
+        of_effects = np.where(self.relief, relief, np.where(self.course, self.course_size, 1.0))
+        return np.r_[np.ones(len(self.free)), of_effects]
 
-    def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
-        """Normal equations of the motion and the relief's shifts, for each size of the relief."""
+    def _prior(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+        """What is known of the motion and of the effects beforehand: information and mean."""
         p, k = len(self.free), len(self.relief)
-        scale = np.concatenate([np.ones((len(reliefs), p)), self._sized(reliefs)], 1)
         # A direction that nothing tells (along the joints of rows) stays where it is, and unknown.
         little = 1e-10 * np.diag(self.gram)[:p]
-        known = np.r_[self.known + little, np.ones(k)]
-        mean = np.r_[np.where(self.known > 0, self.prior_mean, 0.0), np.zeros(k)]
-        H = self.gram[:-1, :-1] * scale[:, :, None] * scale[:, None, :] + np.diag(known)
-        g = self.gram[:-1, -1] * scale - known * mean
-        x = -np.linalg.solve(H, g[..., None])[..., 0]
-        left = self.gram[-1, -1] + (g * x).sum(1) + float(known @ mean**2)
-        value = -0.5 * (left + self.logdet + np.linalg.slogdet(H)[1])
-        return _Normal(value, x * scale, H)
+        mean = np.where(self.known > 0, self.prior_mean, 0.0)
+        return np.r_[self.known + little, np.ones(k)], np.r_[mean, np.zeros(k)]
+
+    def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
+        """Solution of the normal equations of the motion and all effects, for each size of the relief.
+
+        All but the relief is eliminated once, for every size of it: what is left of its own equations is
+        I + r^2 S with an S of r's own eigenvectors.
+        """
+        p = len(self.free)
+        known, mean = self._prior()
+        size = self._sized(1.0)
+        H = self.gram[:-1, :-1] * size * size[:, None] + np.diag(known)
+        g = self.gram[:-1, -1] * size - known * mean
+        last = np.r_[np.zeros(p, dtype=bool), self.relief]
+        first = ~last
+        across, own = H[np.ix_(first, last)], H[np.ix_(last, last)] - np.eye(int(last.sum()))
+        unit = np.eye(int(first.sum()))[:, :p]
+        solved = np.linalg.solve(H[np.ix_(first, first)], np.column_stack([across, g[first], unit]))
+        by_relief, alone, spread = solved[:, : across.shape[1]], solved[:, across.shape[1]], solved[:, -p:]
+        squares, axes = np.linalg.eigh(own - across.T @ by_relief)
+        shrunk = 1.0 / (1.0 + reliefs[:, None] ** 2 * np.maximum(squares, 0.0))
+        x = np.empty((len(reliefs), len(g)))
+        shifts = (shrunk * ((across.T @ alone - g[last]) @ axes)) @ axes.T * reliefs[:, None]
+        x[:, last] = shifts
+        x[:, first] = -alone - reliefs[:, None] * (shifts @ by_relief.T)
+        along = by_relief[:p] @ axes
+        covariance = spread[:p] + reliefs[:, None, None] ** 2 * (along * shrunk[:, None]) @ along.T
+        sizes = np.where(last, reliefs[:, None], 1.0)
+        left = self.gram[-1, -1] + (g * sizes * x).sum(1) + float(known @ mean**2)
+        logdet = np.linalg.slogdet(H[np.ix_(first, first)])[1] - np.log(shrunk).sum(1)
+        return _Normal(-0.5 * (left + self.logdet + logdet), x * size * sizes, covariance)
 
     def solve(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
         """Restricted log likelihood, scaled motion and its covariance, for each size of the relief."""
         normal, p = self._normal(np.array(RELIEFS)), len(self.free)
-        covariance = np.linalg.inv(normal.H)[:, :p, :p]
-        return [(float(v), x[:p], C) for v, x, C in zip(normal.value, normal.x, covariance, strict=True)]
+        return [(float(v), x[:p], C) for v, x, C in zip(*normal, strict=True)]
 
     def evidence(self, sizes: Sizes) -> dict[float, float]:
         """Restricted log likelihood for each size of the relief."""

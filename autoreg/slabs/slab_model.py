@@ -99,9 +99,10 @@ def estimate_motion(
     some = _in_blocks(fit, rows)
     model = SlabEquations(fit, mask, prior, bow, some, widths)
     sizes, relief = _likeliest_sizes(model, near)
-    model = (
-        SlabEquations(fit, mask, prior, bow, rows, widths) if len(some) < len(rows) else model.begun_anew()
-    )
+    if len(some) < len(rows):
+        model = SlabEquations(fit, mask, prior, bow, rows, widths, courses=sizes[-1] > 0)
+    else:
+        model.begin_anew()
     for _ in range(2):
         model.reweigh(sizes, relief)
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
