@@ -89,7 +89,7 @@ def find_paving(
             plain = suitable(_by_other_focals(looks, ranked, free)) if camera is None else ()
             if not _certain(plain):
                 fields = _fields_of_rows(looks, segments, sight.size, ranked)
-                plain = suitable(_by_cross_joints(looks, *fields[0], free)) if fields else ()
+                plain = suitable(_by_cross_joints(looks, fields, free))
                 if not plain or plain[0].margin_nats <= 0:
                     return _rows_alone(fields, best)
             best = plain
@@ -105,7 +105,8 @@ def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
     _, hypotheses = _hypotheses(segments, sight.size, camera)
     planes = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
     fields = _fields_of_rows(looks, segments, sight.size, planes)
-    return next((rows for rows, _ in fields if not rows.in_columns), None)
+    rows = _clearest_alone(fields)
+    return rows if rows is not None and rows.margin_nats > 0 else None
 
 
 def _by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tuple[Paving, ...]:
@@ -164,11 +165,14 @@ def _hypotheses(
     return free, [(own, R) for own, R in found if walls or not like_wall(R)]
 
 
-def _by_cross_joints(looks: Looks, rows: Rows, plane: PlaneCombs, free: Free) -> tuple[Paving, ...]:
-    """The lattice of rows whose cross joints follow a law after all, though most of them are too faint.
+def _by_cross_joints(looks: Looks, fields: list[tuple[Rows, PlaneCombs]], free: Free) -> tuple[Paving, ...]:
+    """The lattice of the clearest rows, if their cross joints follow a law, though most are too faint.
 
     Seen from afar only some of a running bond's cross joints are found.
     """
+    if not fields or fields[0][0].margin_nats <= 0:
+        return ()
+    rows, plane = fields[0]
     fit, middle = rows.paving.fit, rows.cross.middle
     width = fit.grid.spacing_y
     bond = bond_of_places(middle[:, 0], np.floor(middle[:, 1] / width).astype(int), width)
@@ -182,19 +186,24 @@ def _by_cross_joints(looks: Looks, rows: Rows, plane: PlaneCombs, free: Free) ->
 def _fields_of_rows(
     looks: Looks, segments: Segments, size: tuple[int, int], planes: list[PlaneCombs]
 ) -> list[tuple[Rows, PlaneCombs]]:
-    """Rows that do better than chance on some planes, with their planes, the clearest first."""
+    """The rows on some planes, with their planes, the clearest first."""
     fields = [(lay_rows(looks.picture, plane, segments, size), plane) for plane in planes]
-    found = [(rows, plane) for rows, plane in fields if rows is not None and rows.margin_nats > 0]
+    found = [(rows, plane) for rows, plane in fields if rows is not None]
     return sorted(found, key=lambda field: -field[0].margin_nats)
 
 
+def _clearest_alone(fields: list[tuple[Rows, PlaneCombs]]) -> Rows | None:
+    """The clearest of some rows whose cross joints are of no bond, nor of herringbone."""
+    return next((rows for rows, _ in fields if not rows.in_columns), None)
+
+
 def _rows_alone(fields: list[tuple[Rows, PlaneCombs]], rejected: tuple[Paving, ...]) -> Rows:
-    """The clearest of some rows that are of no bond, where no lattice does better than chance.
+    """The clearest of these rows, where no lattice does better than chance.
 
     Raises:
-        Refusal: there are none.
+        Refusal: they do no better than chance either.
     """
-    alone = next((rows for rows, _ in fields if not rows.in_columns), None)
-    if alone is None:
-        raise no_lattice(rejected[0] if rejected else None, None)
-    return alone
+    rows = _clearest_alone(fields)
+    if rows is None or rows.margin_nats <= 0:
+        raise no_lattice(rejected[0] if rejected else None, rows)
+    return rows

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -98,6 +100,19 @@ def test_unbroken_joints_without_cross_joints_are_no_rows():
         boards[y : y + 3] = JOINT
     rows, _, _ = rows_in(seen_from_the_camera(boards))
     assert rows is None or rows.margin_nats < 0
+
+
+def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(
+    ashlar_rows: Rows, monkeypatch: pytest.MonkeyPatch
+):
+    evidence = (60.0, 0.5)
+    hardly = replace(ashlar_rows, paving=replace(ashlar_rows.paving, evidence_nats=evidence))
+    monkeypatch.setattr("autoreg.search.lay_rows", lambda *_: hardly)
+    monkeypatch.setattr("autoreg.search.lay_combs", lambda *_: None)
+    monkeypatch.setattr("autoreg.search.lay_lattice", lambda *_: ())
+    with pytest.raises(Refusal) as refused:
+        find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA)
+    assert refused.value.code == "one_direction"
 
 
 def test_joints_that_break_off_regularly_are_herringbone_and_no_rows():
