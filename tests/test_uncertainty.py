@@ -36,8 +36,8 @@ BOND = replace(SCENE, spacing_m=(0.6, 0.3), shift=0.5)
 
 
 @cache
-def picture(jitter_m: float, seed: int) -> np.ndarray:
-    photo = render_paving(replace(SCENE, jitter_m=jitter_m, seed=seed))
+def picture(jitter_m: float, seed: int, course_jitter_m: float = 0.0) -> np.ndarray:
+    photo = render_paving(replace(SCENE, jitter_m=jitter_m, course_jitter_m=course_jitter_m, seed=seed))
     return as_gray(photo.pixels).astype(np.float32)
 
 
@@ -56,8 +56,8 @@ def fit_to(gray: np.ndarray, grid: Grid, focal: float) -> Fit:
 
 
 @cache
-def fitted(jitter_m: float, seed: int, focal: float = 1.0) -> Fit:
-    return fit_to(picture(jitter_m, seed), Grid(0.4, 0.4), focal)
+def fitted(jitter_m: float, seed: int, focal: float = 1.0, course_jitter_m: float = 0.0) -> Fit:
+    return fit_to(picture(jitter_m, seed, course_jitter_m), Grid(0.4, 0.4), focal)
 
 
 @cache
@@ -92,14 +92,9 @@ def test_the_jitter_of_the_slabs_is_found_from_the_residuals() -> None:
     assert settle(fitted(0.002, 1)).scatter.place == pytest.approx(0.002, rel=0.5)
 
 
-@cache
-def coursed(jitter_m: float, course_jitter_m: float, seed: int) -> Fit:
-    scene = replace(SCENE, jitter_m=jitter_m, course_jitter_m=course_jitter_m, seed=seed)
-    return fit_to(as_gray(render_paving(scene).pixels).astype(np.float32), Grid(0.4, 0.4), 1.0)
-
-
 def test_courses_that_lie_aside_are_told_from_slabs_that_do() -> None:
-    whole, single = (settle(coursed(*sizes, 1)).scatter for sizes in ((0.0003, 0.002), (0.002, 0.0)))
+    whole = settle(fitted(0.0003, 1, course_jitter_m=0.002)).scatter
+    single = settle(fitted(0.002, 1)).scatter
     assert whole.course == pytest.approx(0.002, rel=0.5)
     assert whole.course > 1.5 * whole.place
     assert single.course < 0.7 * single.place
@@ -109,7 +104,7 @@ def test_courses_that_lie_aside_are_told_from_slabs_that_do() -> None:
 def test_the_truth_lies_within_the_stated_uncertainty_of_uneven_courses() -> None:
     found = []
     for seed in range(8):
-        settled = settle(coursed(0.0005, 0.002, seed))
+        settled = settle(fitted(0.0005, seed, course_jitter_m=0.002))
         turned = vector_from_rotation(settled.fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)
         moved = settled.fit.cam_from_ground.t - SCENE.cam_from_ground.t
         error = np.r_[turned, moved]

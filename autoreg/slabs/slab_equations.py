@@ -91,7 +91,7 @@ class SlabEquations:
             bow * bow_effects(joints),
             BLOOM_PX * bloom_effects(joints),
         )
-        course = course_effects(joints)[:, : None if courses else 0]
+        course = course_effects(joints) if courses else np.zeros((len(joints.off_px), 0))
         # Which of these columns are scaled by the sizes of the relief and of the courses' places.
         counts = [relief.shape[1], sum(effect.shape[1] for effect in others), course.shape[1]]
         self.relief, self.course = (np.repeat(of, counts) for of in np.eye(3, dtype=bool)[[0, 2]])
@@ -168,7 +168,7 @@ class SlabEquations:
         drawn += self.Z @ (self.scale[:, None] * random.standard_normal((len(self.scale), DRAWS)))
         drawn += X[:, p:] @ random.standard_normal((k, DRAWS))
         VX = self._whitened(X)
-        inverse = np.linalg.inv(self.gram[:-1, :-1] * size * size[:, None] + np.diag(self._prior()[0]))
+        inverse = np.linalg.inv(self._matrix(size))
         y = np.column_stack([self.joints.off_px, drawn])
         pulls = self._whitened(y - X @ (inverse @ (VX.T @ y)))
         return drawn_design_effect(X, inverse, pulls, self.joints.shared, 6)
@@ -186,16 +186,20 @@ class SlabEquations:
         mean = np.where(self.known > 0, self.prior_mean, 0.0)
         return np.r_[self.known + little, np.ones(k)], np.r_[mean, np.zeros(k)]
 
+    def _matrix(self, size: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+        """The normal matrix of the motion and all effects, for columns of such sizes."""
+        return self.gram[:-1, :-1] * size * size[:, None] + np.diag(self._prior()[0])
+
     def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
         """Solution of the normal equations of the motion and all effects, for each size of the relief.
 
-        All but the relief is eliminated once, for every size of it: what is left of its own equations is
-        I + r^2 S with an S of r's own eigenvectors.
+        All but the relief is eliminated once: what is left of its own equations is I + r^2 S for a size r,
+        and the eigenvectors of S serve every one.
         """
         p = len(self.free)
         known, mean = self._prior()
         size = self._sized(1.0)
-        H = self.gram[:-1, :-1] * size * size[:, None] + np.diag(known)
+        H = self._matrix(size)
         g = self.gram[:-1, -1] * size - known * mean
         last = np.r_[np.zeros(p, dtype=bool), self.relief]
         first = ~last
