@@ -215,19 +215,29 @@ def bow_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 3"]:
 
 
 def course_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n c"]:
-    """Pixels that the joints of each line move where they lie aside together, by a unit.
+    """Pixels that joints move where courses lie aside by a unit: each by itself, and a family's together.
 
     Paving is laid course by course, along a string. Across the unbroken joints of a running bond it is the
-    cross joints of one course that lie in line.
+    cross joints of one course that lie in line. What strings are squared and spaced by lies aside as well:
+    all joints of a family are askew by a unit where the paving ends, or fan out by as much. That shows in no
+    residual, since a pose that is a little tilted imitates it.
     """
     fit = joints.fit
     stations = fit.stations.take(joints.rows)
     in_course = (stations.family == ALONG_Y) & (fit.grid.shift != 0)
     line = np.where(in_course, stations.cell, stations.line)
     names, member = np.unique(np.stack([stations.family, line], 1), axis=0, return_inverse=True)
-    moved = np.zeros((len(joints.rows), len(names)))
-    moved[np.arange(len(member)), member.ravel()] = joints.px_per_unit
-    return joints.middles_only(moved)
+    aside = np.zeros((len(joints.rows), len(names)))
+    aside[np.arange(len(member)), member.ravel()] = 1.0
+    askew: list[np.ndarray] = []
+    for family in (ALONG_X,) if fit.grid.shift else (ALONG_X, ALONG_Y):
+        own = stations.family == family
+        if own.any():
+            ground = stations.ground[:, [family, 1 - family]]
+            low, high = ground[own].min(0), ground[own].max(0)
+            along, across = ((2.0 * ground - low - high) / np.maximum(high - low, 1e-9)).T
+            askew += [own * along, own * along * across]
+    return joints.middles_only(np.column_stack([aside, *askew]) * joints.px_per_unit[:, None])
 
 
 def bloom_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
