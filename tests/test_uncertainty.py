@@ -65,12 +65,17 @@ def bond_fitted(shift: float, focal: float) -> Fit:
     return fit_to(bonded(shift), Grid(0.6, 0.3, shift), focal)
 
 
+def turned_off(fit: Fit) -> np.ndarray:
+    """Rotation vector of a fit's pose from the true one."""
+    return vector_from_rotation(fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)
+
+
 def rotation_errors(jitter_m: float, seeds: range) -> np.ndarray:
     """Normalised squared rotation errors of settled fits."""
     found = []
     for seed in seeds:
         settled = settle(fitted(jitter_m, seed))
-        error = vector_from_rotation(settled.fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)
+        error = turned_off(settled.fit)
         found.append(error @ np.linalg.solve(settled.covariance[:3, :3], error))
     return np.array(found)
 
@@ -103,8 +108,7 @@ def test_courses_that_lie_aside_are_told_from_slabs_that_do() -> None:
 
 def pose_error(settled: Settled) -> float:
     """Normalised squared error of a settled pose."""
-    turned = vector_from_rotation(settled.fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)
-    error = np.r_[turned, settled.fit.cam_from_ground.t - SCENE.cam_from_ground.t]
+    error = np.r_[turned_off(settled.fit), settled.fit.cam_from_ground.t - SCENE.cam_from_ground.t]
     return float(error @ np.linalg.solve(settled.covariance, error))
 
 
@@ -130,9 +134,9 @@ def set_out_askew(fit: Fit, rng: np.random.Generator, size_m: float) -> Fit:
 def test_the_truth_lies_within_the_stated_uncertainty_of_courses_that_are_set_out_askew() -> None:
     rng, found = np.random.default_rng(3), []
     for seed in range(8):
-        # The widths are those of the picture, where nothing is askew.
         # A joint lies aside by the mean of its two courses.
         fit = set_out_askew(fitted(0.0005, seed, course_jitter_m=0.002), rng, 0.0014)
+        # The widths are those of the picture, where nothing is askew.
         found.append(pose_error(settle(fit, widths=False)))
     assert max(found) < 22.5
     assert 1.0 < np.median(found) < 10.0
@@ -140,7 +144,7 @@ def test_the_truth_lies_within_the_stated_uncertainty_of_courses_that_are_set_ou
 
 def test_settling_lands_nearer_to_the_truth_than_the_fit_with_independent_stations() -> None:
     def miss(fit: Fit) -> float:
-        return float(np.linalg.norm(vector_from_rotation(fit.cam_from_ground.R @ SCENE.cam_from_ground.R.T)))
+        return float(np.linalg.norm(turned_off(fit)))
 
     fits = [fitted(0.002, seed) for seed in range(6)]
     assert np.mean([miss(settle(f).fit) ** 2 for f in fits]) < np.mean([miss(f) ** 2 for f in fits])

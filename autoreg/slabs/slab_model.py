@@ -5,17 +5,16 @@ The places of neighbouring joints are no independent measurements. Each joint li
     J dp + place + lift + turn of the slabs on either side + course + relief + common shift + bloom + noise,
 
 where every slab's place, height and turn are random, and so is the place of every course, whose slabs were
-laid along one string. What the strings were squared and spaced by was no better than they are: all joints of
-a family may be askew, or fan out, by as much, which a tilted pose imitates and no residual shows. Calibrated
-views of a printed board, whose own shape was solved for along with the cameras, have such errors: without
-these effects a third of their 95 % regions held the truth. The relief is the shift of a joint seen aslant: a
-lit wall of the far slab looks like the slab, and so the joint looks narrower and nearer than it is. What the
-joints of a family are off by together beyond that shows in no residual: its size is that measured on
-ray-traced pavings. Where both edges of a joint are told apart, its width is a second measurement, off by all
-of these but J dp. Bright tiles that meet dark ones without a joint bloom: every edge is moved towards the
-dark one. This is a linear mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the
-sizes of the random effects come from the photo's own residuals by restricted maximum likelihood, and the pose
-by generalised least squares.
+laid along one string. Where all joints are lines, those of a family may be askew, or fan out, by as much: a
+tilted pose imitates that, and no residual shows it. Calibrated views of a printed board, whose own shape was
+solved for along with the cameras, are so; without this a third of their 95 % regions held the truth.
+The relief is the shift of a joint seen aslant: a lit wall of the far slab looks like the slab, and so the
+joint looks narrower and nearer than it is. What the joints of a family are off by together beyond that shows
+in no residual: its size is that measured on ray-traced pavings. Where both edges of a joint are told apart,
+its width is a second measurement, off by all of these but J dp. Bright tiles that meet dark ones without a
+joint bloom: every edge is moved towards the dark one. This is a linear mixed model (Searle, Casella,
+McCulloch, Variance Components, ch. 6 and 9): the sizes of the random effects come from the photo's own
+residuals by restricted maximum likelihood, and the pose by generalised least squares.
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ from autoreg.solve.solver import Prior
 # What is tried in turn: factors of the place's size, and sizes of lift, turn and courses as shares of it,
 # from those that are tried first.
 WIDE_SEARCHES = (
-    ((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5), (0.3, 0.8, 2.0)),
+    ((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5), (0.0, 0.8, 2.0)),
     ((0.5, 0.75, 1.3), (), (), (0.0, 0.8, 2.0, 5.0)),
 )
-FIRST = (0.33, 0.25, 0.0)
+FIRST = (0.33, 0.25, 0.3)
 NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0)),)
 # Factors of the likeliest place's size over which the answer is averaged.
 LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
@@ -53,9 +52,9 @@ BOW = 0.0015
 class Scatter:
     """Standard deviations of the slabs' irregularity, in the unit of the pose (`turn` in radians).
 
-    `lift` and `turn` are of slabs, like `place`; `course` is what the joints of one line lie aside together;
-    `relief` is a share of half the joint's width. `misfit` is the factor, in variance, by which joints agree
-    on being off beyond what all of these explain.
+    `lift` and `turn` are of slabs, like `place`; `course` is what the joints of one line lie aside together,
+    and those of a family at its ends; `relief` is a share of half the joint's width. `misfit` is the factor,
+    in variance, by which joints agree on being off beyond what all of these explain.
     """
 
     place: float
