@@ -38,8 +38,9 @@ __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align",
 Source = Literal["file", "exif", "photo"]
 
 # What else is known of an uncalibrated camera: logarithm of its focal length with and without EXIF (the
-# latter about one picture width), and the principal point as a share of the long side.
-EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA = 0.05, 0.5, 0.012
+# latter about one picture width), the principal point as a share of the long side, and the logarithm of what
+# fy is longer than fx by. The last two are as in calibrations of consumer cameras.
+EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA, ASPECT_SIGMA = 0.05, 0.5, 0.02, 0.004
 # Slabs tell the tilt in any case. Their camera's height goes with the focal length: where it may be wrong by
 # half, the photo has not told it.
 MOST_SLABS_FOCAL_SIGMA = 0.25
@@ -254,10 +255,12 @@ def _freedom(
         focal=True,
         centre=True,
         radial=True,
+        aspect=True,
         nominal=nominal,
         focal_sigma=EXIF_FOCAL_SIGMA if source == "exif" else PHOTO_FOCAL_SIGMA,
         centre_sigma_px=CENTRE_SIGMA * max(width, height),
         radial_sigma=RADIAL_SIGMA,
+        aspect_sigma=ASPECT_SIGMA,
     )
 
 

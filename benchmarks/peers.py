@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.points import project_ground
-from autoreg.solve.joint_data import JointData
+from autoreg.solve.joint_data import JointData, parameter_scale
 from autoreg.solve.solver import CAUCHY_SIGMAS
 from autoreg.synthetic import SyntheticScene
 
@@ -189,5 +189,5 @@ def as_joint_data(edges: Edges, camera: Camera, start: Rigid) -> JointData:
         R=start.R,
         t=start.t,
         intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.dist]),
-        scale=np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, camera.fx, camera.fx, 1.0]),
+        scale=parameter_scale(height, camera.fx),
     )

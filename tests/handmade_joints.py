@@ -10,12 +10,13 @@ from handmade import looking
 
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
-from autoreg.solve.joint_data import JointData
+from autoreg.solve.freedom import Free
+from autoreg.solve.joint_data import JointData, parameter_scale
 from autoreg.solve.solver import CAUCHY_SIGMAS, solve_joints
 
 CAMERA = Camera(1600, 1200, 1300.0, 1290.0, 810.0, 590.0, (-0.12, 0.04, 0.0005, -0.0004))
 TRUTH = looking([-0.4, -3.0, 1.6], [0.1, 0.6, 0.0], 0.04)
-POSE = np.r_[np.ones(6), np.zeros(5)]
+POSE = Free().mask
 SIGMA_PX = 0.1
 
 
@@ -59,7 +60,7 @@ def problem(
         R=turn @ TRUTH.R,
         t=turn @ TRUTH.t + start.shift * rng.normal(size=3),
         intrinsics=np.array([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, *CAMERA.dist]),
-        scale=np.array([1.0] * 3 + [1.6] * 3 + [1.0, 1.0, CAMERA.fx, CAMERA.fx, 1.0]),
+        scale=parameter_scale(1.6, CAMERA.fx),
     )
 
 

@@ -10,6 +10,7 @@ import pytest
 from autoreg.solve import compiled_step, machine_code
 from autoreg.solve.bare_code import bare_form, from_bare_form
 from autoreg.solve.jax_code import from_jax_form, jax_form, on_arrays
+from autoreg.solve.joint_data import PARAMETERS
 from autoreg.solve.lm_step import compiled_with_jax
 from autoreg.solve.step_state import blank_state, example_arguments
 
@@ -158,7 +159,7 @@ def test_every_form_of_the_step_does_the_same(compiled):
         weight=np.ones(2048),
         intrinsics=np.r_[1000.0, 1000.0, 500.0, 500.0, np.zeros(8)],
     )
-    given = q, state, problem._replace(data=data, unit=np.ones(11), prior_weight=np.ones(11))
+    given = q, state, problem._replace(data=data, unit=np.ones(PARAMETERS), prior_weight=np.ones(PARAMETERS))
     forms = (
         on_arrays(compiled),
         from_jax_form(jax_form(compiled), arguments, arguments[:2]),
@@ -176,7 +177,7 @@ def test_every_form_of_the_step_does_the_same(compiled):
 def test_an_array_of_another_shape_is_an_error_and_not_read_beyond_its_end(compiled):
     arguments = example_arguments()
     step = from_bare_form(bare_form(compiled, arguments), arguments, arguments[:2])
-    with pytest.raises(ValueError, match=r"must be float64 of shape \(11,\), got \(10,\)"):
+    with pytest.raises(ValueError, match=f"must be float64 of shape .{PARAMETERS},., got .10,."):
         step(np.zeros(10), *arguments[1:])
 
 

@@ -10,6 +10,7 @@ from plain_residuals import joint_distances
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
 from autoreg.solve.joint_data import (
+    ASPECT,
     CENTRE,
     FOCAL,
     PARAMETERS,
@@ -18,6 +19,7 @@ from autoreg.solve.joint_data import (
     ROTATION,
     TRANSLATION,
     JointData,
+    parameter_scale,
 )
 from autoreg.solve.residuals import (
     distances_and_jacobian,
@@ -67,14 +69,14 @@ def scene(seed: int, n: int = 30) -> tuple[JointData, Camera]:
         R=pose.R,
         t=pose.t,
         intrinsics=intrinsics_of(camera),
-        scale=np.array([1.0] * 3 + [1.5] * 3 + [1.0, 1.0, 1000.0, 1000.0, 1.0]),
+        scale=parameter_scale(1.5, 1000.0),
     )
     return data, camera
 
 
 def small_parameters(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed + 1)
-    return rng.uniform(-1, 1, PARAMETERS) * ([0.05] * 3 + [0.1] * 3 + [0.1, 0.1, 0.02, 0.02, 0.05])
+    return rng.uniform(-1, 1, PARAMETERS) * ([0.05] * 3 + [0.1] * 3 + [0.1, 0.1, 0.02, 0.02, 0.05, 0.05])
 
 
 @given(seeds)
@@ -99,11 +101,12 @@ def test_parameters_move_pose_lattice_and_camera_as_their_names_say(seed):
     turn = rotation_from_vector(p[ROTATION])
     ground = data.ground * np.exp([0.5 * p[RATIO], -0.5 * p[RATIO]])
     points_cam = (ground @ data.R[:, :2].T + data.t) @ turn.T + p[TRANSLATION]
-    f = np.exp(p[FOCAL])
+    fx = camera.fx * np.exp(p[FOCAL])
+    fy = camera.fy * np.exp(p[FOCAL] + p[ASPECT])
     k1, *rest = camera.dist
     dx, dy = p[CENTRE]
     dist = (k1 + p[RADIAL], *rest)
-    moved = Camera(1600, 1200, camera.fx * f, camera.fy * f, camera.cx + dx, camera.cy + dy, dist)
+    moved = Camera(1600, 1200, fx, fy, camera.cx + dx, camera.cy + dy, dist)
     expected = ((moved.project(points_cam) - data.measured_px) * data.normal).sum(1)
     got = joint_distances(jnp.asarray(small_parameters(seed)), data)
     np.testing.assert_allclose(got, expected, atol=1e-8)

@@ -72,6 +72,7 @@ KNOWN = Free(
     focal_sigma=0.5,
     centre_sigma_px=0.012 * 800,
     radial_sigma=0.1,
+    aspect_sigma=0.004,
 )
 
 

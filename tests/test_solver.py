@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from autoreg.geometry import Rigid, angle_between_rotations, rotation_from_vector
 from autoreg.solve import solver
+from autoreg.solve.freedom import Free
 from autoreg.solve.joint_data import (
     CENTRE,
     FOCAL,
@@ -101,7 +102,7 @@ def test_a_camera_and_a_lattice_that_are_off_are_found():
 def test_the_minimum_is_scipys(seed, outliers):
     # Starts within a few pixels, so that both descend into the same of a robust cost's several minima.
     data = problem(seed, noise_px=SIGMA_PX, outliers=outliers, start=Start(0.0003, 0.001))
-    free = np.r_[np.ones(8), np.zeros(3)]
+    free = Free(ratio=True, focal=True).mask
     solution = solve_joints(data, free)
     parameters, cost = by_scipy(data, free)
     assert solution.outcome == "converged"
@@ -111,7 +112,7 @@ def test_the_minimum_is_scipys(seed, outliers):
 
 def test_the_minimum_with_a_prior_is_scipys():
     data = problem(7, noise_px=SIGMA_PX, start=Start(0.0003, 0.001))
-    free = np.r_[np.ones(6), 0.0, 1.0, 1.0, 1.0, 0.0]
+    free = Free(focal=True, centre=True).mask
     sigma = np.full(PARAMETERS, np.inf)
     sigma[FOCAL], sigma[CENTRE] = 0.001, 2.0
     mean = np.zeros(PARAMETERS)
@@ -135,7 +136,7 @@ def test_frozen_parameters_stay_exactly_where_they_are():
 
 def test_a_tight_prior_holds_and_a_loose_one_lets_go():
     data = problem(2, noise_px=SIGMA_PX)
-    free = np.r_[POSE[:7], 1.0, 0.0, 0.0, 0.0]
+    free = Free(focal=True).mask
     mean = np.zeros(PARAMETERS)
     mean[FOCAL] = 0.01
 
@@ -152,7 +153,7 @@ def test_a_tight_prior_holds_and_a_loose_one_lets_go():
 def test_a_prior_weighs_as_much_as_the_joints_that_are_as_sure():
     """Where the joints say sigma s, a prior of sigma s a small way off pulls half of that way."""
     data = problem(3)
-    free = np.r_[POSE[:7], 1.0, 0.0, 0.0, 0.0]
+    free = Free(focal=True).mask
     solution = solve_joints(data, free)
     J = solution.jacobian[:, free > 0] / SIGMA_PX
     sigma = float(np.sqrt(np.linalg.inv(J.T @ J)[-1, -1]))

@@ -20,6 +20,7 @@ from autoreg.image import as_gray
 from autoreg.slabs.slab_model import estimate_motion
 from autoreg.slabs.uncertainty import Settled, check_camera, settle
 from autoreg.solve.freedom import Free
+from autoreg.solve.joint_data import FOCAL, PARAMETERS
 from autoreg.solve.solver import Prior
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 
@@ -153,11 +154,11 @@ def test_settling_lands_nearer_to_the_truth_than_the_fit_with_independent_statio
 def test_knowledge_of_a_parameter_is_kept_where_it_is_tighter_than_the_photo() -> None:
     fit = fitted(0.002, 0)
     free = Free(focal=True)
-    prior = Prior(np.zeros(11), np.where(np.arange(11) == 7, 1e-6, np.inf))
+    prior = Prior(np.zeros(PARAMETERS), np.where(np.arange(PARAMETERS) == FOCAL, 1e-6, np.inf))
     estimate = estimate_motion(fit, free.mask, prior)
-    assert abs(estimate.parameters[7]) < 1e-5
+    assert abs(estimate.parameters[FOCAL]) < 1e-5
     # The factor for what the model misses acts on everything.
-    assert np.sqrt(estimate.covariance[7, 7]) == pytest.approx(1e-6, rel=0.5)
+    assert np.sqrt(estimate.covariance[FOCAL, FOCAL]) == pytest.approx(1e-6, rel=0.5)
 
 
 @given(

@@ -33,7 +33,7 @@ FEW_SIDES = 16
 # Courses seen no more aslant than the first, within so many standard deviations of the pose, and no farther
 # from level than the second, may be a wall's: the search for the ground cannot drop such a wall for its plumb
 # joints.
-FRONTAL_SIGMAS = 2.0
+FRONTAL_SIGMAS = 1.5
 FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(LEVEL_RAD))
 _OTHER_CAMERA = (
     "the camera file belongs to another camera, zoom or picture size: check it with its calibration, "

@@ -29,7 +29,7 @@ from autoreg.joints.joint_looks import (
 )
 from autoreg.joints.profiles import Profiles, sample_profiles
 from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
-from autoreg.solve.joint_data import JointData
+from autoreg.solve.joint_data import JointData, parameter_scale
 from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, solve_joints
 
 # Solves per round, each with the scatter that the one before left; and the widest search, in slab sides, that
@@ -288,5 +288,5 @@ def joint_data(
         R=pose.R,
         t=pose.t,
         intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.dist]),
-        scale=np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, camera.fx, camera.fx, 1.0]),
+        scale=parameter_scale(height, camera.fx),
     )

@@ -52,9 +52,11 @@ class Settled:
 def settle(fit: Fit, *, widths: bool = True) -> Settled:
     """The fit moved to the likeliest pose under irregular slabs, and how sure that pose is.
 
-    The joints' `widths` have a say if that is asked for.
+    The joints' `widths` have a say if that is asked for. Where the camera is not known, ground that is a
+    little bent would be taken for another one.
     """
-    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera), widths=widths)
+    bow = BOW if fit.free.focal else 0.0
+    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera), bow=bow, widths=widths)
     moved = moved_fit(fit, estimate.parameters)
     return Settled(moved, on_camera_side(estimate.covariance, moved.cam_from_ground), estimate.scatter)
 
@@ -179,17 +181,17 @@ def _roughness(fit: Fit) -> float:
 def _focal_alone(both: Estimate, known: Free, centre: Float[np.ndarray, "2"]) -> tuple[float, float]:
     """Logarithm of the focal length's change and its sigma, with the principal point moved to `centre`.
 
-    Where the principal point is not known, what it would change is uncertainty of the focal length; a lens
-    that is not known is estimated beside it.
+    It is held there, or as near to it as it is known to be; a lens that is not known is estimated beside it.
     """
     C, x = both.covariance, both.parameters
     held = [8, 9] if known.radial else [8, 9, terms.RADIAL]
-    pull = np.linalg.solve(C[np.ix_(held, held)], C[held, terms.FOCAL])
+    doubt = np.zeros(len(held))
+    doubt[:2] = known.centre_sigma_px**2 if known.centre else 0.0
+    pull = np.linalg.solve(C[np.ix_(held, held)] + np.diag(doubt), C[held, terms.FOCAL])
     variance = C[terms.FOCAL, terms.FOCAL] - pull @ C[held, terms.FOCAL]
-    doubt = known.centre_sigma_px * np.linalg.norm(pull[:2]) if known.centre else 0.0
     held_at = np.r_[centre, np.zeros(len(held) - 2)]
     change = x[terms.FOCAL] + pull @ (held_at - x[held])
-    return float(change), float(np.hypot(np.sqrt(max(variance, 0.0)), doubt))
+    return float(change), float(np.sqrt(max(variance, 0.0)))
 
 
 def _free_camera(fit: Fit) -> Free:

@@ -27,10 +27,12 @@ class Free:
     focal: bool = False
     centre: bool = False
     radial: bool = False
+    aspect: bool = False
     nominal: Camera | None = None
     focal_sigma: float = np.inf
     centre_sigma_px: float = np.inf
     radial_sigma: float = np.inf
+    aspect_sigma: float = np.inf
     step_sigma: float = np.inf
 
     @property
@@ -40,18 +42,20 @@ class Free:
         mask[:6] = 1.0
         mask[terms.RATIO], mask[terms.FOCAL] = self.ratio, self.focal
         mask[terms.CENTRE], mask[terms.RADIAL] = self.centre, self.radial
+        mask[terms.ASPECT] = self.aspect
         return mask
 
     def prior(self, camera: Camera) -> Prior:
         """What is known of a solve's parameters when it starts from `camera`: the nominal one is meant."""
         mean, sigma = np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)
         sigma[terms.FOCAL], sigma[terms.CENTRE] = self.focal_sigma, self.centre_sigma_px
-        sigma[terms.RADIAL] = self.radial_sigma
+        sigma[terms.RADIAL], sigma[terms.ASPECT] = self.radial_sigma, self.aspect_sigma
         sigma[terms.ROTATION] = sigma[terms.TRANSLATION] = self.step_sigma
         if self.nominal is not None:
             mean[terms.FOCAL] = np.log(self.nominal.fx / camera.fx)
             mean[terms.CENTRE] = self.nominal.cx - camera.cx, self.nominal.cy - camera.cy
             mean[terms.RADIAL] = self.nominal.dist[0] - camera.dist[0]
+            mean[terms.ASPECT] = np.log(self.nominal.fy / self.nominal.fx * camera.fx / camera.fy)
         return Prior(mean, sigma)
 
 
@@ -70,8 +74,9 @@ def moved_camera(camera: Camera, solution: Solution) -> Camera:
     focal = float(np.exp(p[terms.FOCAL]))
     dx, dy = (float(v) for v in p[terms.CENTRE])
     dist = (camera.dist[0] + float(p[terms.RADIAL]), *camera.dist[1:])
+    taller = focal * float(np.exp(p[terms.ASPECT]))
     return replace(
-        camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx + dx, cy=camera.cy + dy, dist=dist
+        camera, fx=camera.fx * focal, fy=camera.fy * taller, cx=camera.cx + dx, cy=camera.cy + dy, dist=dist
     )
 
 

@@ -8,9 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 # Parameters: rotation vector (rad) and translation of a small motion on the camera's side, logarithm of the
-# spacing ratio, logarithm of the focal length, principal point (px), first radial distortion coefficient.
-PARAMETERS = 11
-ROTATION, TRANSLATION, RATIO, FOCAL, CENTRE, RADIAL = slice(0, 3), slice(3, 6), 6, 7, slice(8, 10), 10
+# spacing ratio, logarithm of the focal length, principal point (px), first radial distortion coefficient,
+# logarithm of what fy is longer than fx by.
+PARAMETERS = 12
+ROTATION, TRANSLATION, RATIO = slice(0, 3), slice(3, 6), 6
+FOCAL, CENTRE, RADIAL, ASPECT = 7, slice(8, 10), 10, 11
 
 
 class JointData(NamedTuple):
@@ -29,3 +31,8 @@ class JointData(NamedTuple):
     t: Float[np.ndarray, "3"]
     intrinsics: Float[np.ndarray, "12"]
     scale: Float[np.ndarray, " p"]
+
+
+def parameter_scale(height: float, focal_px: float) -> Float[np.ndarray, " p"]:
+    """One unit of each parameter, for a camera of such a height over the ground and such a focal length."""
+    return np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, focal_px, focal_px, 1.0, 1.0])

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from autoreg.solve.joint_data import CENTRE, FOCAL, RADIAL, RATIO, ROTATION, TRANSLATION, JointData
+from autoreg.solve.joint_data import ASPECT, CENTRE, FOCAL, RADIAL, RATIO, ROTATION, TRANSLATION, JointData
 
 Numbers = Array | np.ndarray
 
@@ -64,7 +64,8 @@ def moved_projection(parameters: Float[Array, " p"], data: JointData) -> Project
     position = turn @ data.t + p[TRANSLATION]
     cam_from_plane = jnp.concatenate([turn @ data.R[:, :2] * stretch, position[:, None]], 1)
     k = data.intrinsics
-    change = [k[:2] * jnp.exp(p[FOCAL]), k[2:4] + p[CENTRE], k[4:5] + p[RADIAL], k[5:]]
+    longer = jnp.exp(p[FOCAL] + p[ASPECT] * jnp.array([0.0, 1.0]))
+    change = [k[:2] * longer, k[2:4] + p[CENTRE], k[4:5] + p[RADIAL], k[5:]]
     return Projection(cam_from_plane, jnp.concatenate(change))
 
 

@@ -152,7 +152,7 @@ def _peer_ms(solve: Solve, cases: Sequence[tuple[Edges, Camera, Rigid]]) -> floa
     return float(np.median(times))
 
 
-POSE = np.r_[np.ones(6), np.zeros(5)]
+POSE = Free().mask
 
 
 def _batch_ms(data: Sequence[JointData]) -> float:
