@@ -38,8 +38,9 @@ def off_by(alignment: autoreg.Alignment, truth: np.ndarray) -> np.ndarray:
     return min((vector_from_rotation(R @ (truth @ turn).T) for turn in quarters), key=np.linalg.norm)
 
 
-@pytest.mark.parametrize(("taller", "right", "lower"), [(1.005, 9.0, -6.0), (0.996, -12.0, 8.0)])
-@pytest.mark.parametrize("heading_deg", [33.0, 62.0])
+@pytest.mark.parametrize(
+    ("taller", "right", "lower", "heading_deg"), [(1.005, 9.0, -6.0, 33.0), (0.996, -12.0, 8.0, 62.0)]
+)
 def test_pixels_that_are_not_square_and_a_lens_that_is_not_in_the_middle_are_allowed_for(
     taller: float, right: float, lower: float, heading_deg: float
 ) -> None:
