@@ -9,7 +9,7 @@ import pytest
 
 import autoreg
 from autoreg.camera import Camera
-from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
+from autoreg.geometry import rotation_from_vector, vector_from_rotation
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 
 SLAB_M = 0.4
@@ -19,11 +19,11 @@ HARDLY_EVER = 16.3
 
 def taken(camera: Camera, heading_deg: float, seed: int) -> SyntheticScene:
     """Paving that is seen by a camera held a little aslant: pixels that are not square look like shear."""
-    level = look_at_ground(pitch_deg=38.0, height_m=1.6, heading_deg=heading_deg, foot_m=(0.13, 0.21))
-    roll = rotation_from_vector(np.radians([0.0, 0.0, 4.0]))
     return SyntheticScene(
         camera=camera,
-        cam_from_ground=Rigid(roll @ level.R, roll @ level.t),
+        cam_from_ground=look_at_ground(
+            pitch_deg=38.0, height_m=1.6, heading_deg=heading_deg, roll_deg=4.0, foot_m=(0.13, 0.21)
+        ),
         spacing_m=(SLAB_M, SLAB_M),
         joint_width_m=0.012,
         seed=seed,

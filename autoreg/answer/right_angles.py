@@ -225,8 +225,9 @@ def _slopes(seen: OffSquare, fit: Fit) -> tuple[Float[np.ndarray, "n b"], Float[
     square[..., 0] = seen.middle[:, :1]
     ends_px = project_ground(fit.camera, fit.cam_from_ground, square)
     angles, places = np.zeros((2, len(seen), len(_ALL)))
+    step_sizes = 1e-4 * terms.parameter_scale(1.0, fit.camera.fx)
     for column, k in enumerate(_ALL):
-        little = 1e-4 * (fit.camera.fx if k in (8, 9) else 1.0)
+        little = step_sizes[k]
         for sign in (1.0, -1.0):
             parameters = np.zeros(terms.PARAMETERS)
             parameters[k] = sign * little
