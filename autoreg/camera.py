@@ -84,7 +84,16 @@ class Camera:
         z = points_cam[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
             xy = np.where(z > 0, points_cam[..., :2] / z, np.nan)
-        return self.distort(xy) * [self.fx, self.fy] + [self.cx, self.cy]
+        return self.pixels(xy)
+
+    def pixels(self, xy: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+        """Pixels of ideal normalised coordinates."""
+        distorted = self.distort(xy)
+        px = np.empty(distorted.shape)
+        # Column by column: NumPy is slow where the last axis is short.
+        px[..., 0] = distorted[..., 0] * self.fx + self.cx
+        px[..., 1] = distorted[..., 1] * self.fy + self.cy
+        return px
 
     def normalise(self, px: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Ideal normalised coordinates of pixels; NaN where no ray inside the valid field lands.

@@ -70,30 +70,36 @@ def detect_segments(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
 
 @dataclass(frozen=True)
 class Detection:
-    """Segments of a picture's coarser levels, while those of the finest one are still being looked for."""
+    """Segments of a picture, those of the coarser levels first, while others are still being looked for."""
 
-    coarse: Segments
-    begun: Future[Segments]
+    coarse_begun: Future[Segments]
+    all_begun: Future[Segments]
+
+    @property
+    def coarse(self) -> Segments:
+        """Those of all levels but the finest; waits for them."""
+        return self.coarse_begun.result()
 
     @property
     def all(self) -> Segments:
         """Those of all levels, without duplicates; waits for them."""
-        return self.begun.result()
+        return self.all_begun.result()
 
 
 def begin_detection(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions | None = None) -> Detection:
-    """Like `detect_segments`, but whoever can do with less need not wait for the finest level.
+    """Like `detect_segments`, but nobody need wait for more than he can do with.
 
-    It takes longer than all others together, and LSD lets other threads run.
+    The finest level takes longer than all others together, and LSD lets other threads run.
     """
     options = options or SegmentOptions()
     finest, *coarser = _levels(gray, options)
     pool = ThreadPoolExecutor(1)
+    levels = [pool.submit(_detect_on_level, level, options) for level in coarser]
+    coarse = pool.submit(lambda: _joined([level.result() for level in levels], options))
     fine = pool.submit(_detect_on_level, finest, options)
-    coarse = [_detect_on_level(level, options) for level in coarser]
-    begun = pool.submit(lambda: _joined([fine.result(), *coarse], options))
+    everything = pool.submit(lambda: _joined([fine.result(), *(level.result() for level in levels)], options))
     pool.shutdown(wait=False)
-    return Detection(_joined(coarse, options), begun)
+    return Detection(coarse, everything)
 
 
 def _joined(levels: list[Segments], options: SegmentOptions) -> Segments:

@@ -23,12 +23,14 @@ def sight_of(photo: SyntheticPhoto) -> Sight:
 
 
 def with_detection(sight: Sight, coarse: Segments, finest: Segments | Waited) -> Sight:
+    first: Future[Segments] = Future()
+    first.set_result(coarse)
     begun: Future[Segments] = Future()
     if isinstance(finest, Waited):
         begun.set_exception(finest)
     else:
         begun.set_result(finest)
-    return Sight(sight.gray, sight.looks, Detection(coarse, begun))
+    return Sight(sight.gray, sight.looks, Detection(first, begun))
 
 
 def sides_in_heights(paving: Paving) -> list[float]:

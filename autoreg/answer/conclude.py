@@ -16,6 +16,7 @@ from autoreg.ground.ground_frame import quarter_turns
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.lattice import Lattice, LatticeKind
+from autoreg.numbering import numbered
 from autoreg.paving.lattice_choice import has_ratio
 from autoreg.paving.presence import Presence
 
@@ -109,12 +110,12 @@ def measure_residual(fit: Fit) -> Residual:
     off = np.abs(fit.distances_px)
     inlier = fit.usable & (off < 3.0 * fit.sigma_px)
     near = off[inlier]
-    keys = np.stack([fit.stations.family, fit.stations.line], 1)[inlier]
+    lines = numbered(fit.stations.family[inlier], fit.stations.line[inlier])[1]
     return Residual(
         rms_px=float(np.sqrt(np.mean(near**2))),
         median_px=float(np.median(near)),
         p95_px=float(np.quantile(near, 0.95)),
-        joints=len(np.unique(keys, axis=0)),
+        joints=len(lines),
         samples=int(inlier.sum()),
         inlier_fraction=float(inlier.sum() / len(off)),
     )
@@ -132,7 +133,8 @@ def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
     ground, off = fit.stations.ground[inlier], fit.distances_px[inlier]
     turned = frame.quarter_turns % 2 == 1
     joints: list[JointFit] = []
-    keys, inverse = np.unique(np.stack([family, line, piece], 1), axis=0, return_inverse=True)
+    inverse, first = numbered(family, line, piece)
+    keys = np.stack([family, line, piece], 1)[first]
     for k in range(len(keys)):
         rows = np.flatnonzero(inverse == k)
         if len(rows) < 2:

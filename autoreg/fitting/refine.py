@@ -47,8 +47,10 @@ UNKNOWN_HALF_PX = 16.0
 # Where what is near must bring the farther joints within reach: how far to look, in camera heights, and the
 # half width of the first search, in slab sides.
 FROM_THE_FEET, WIDE_SEARCH = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0), 0.15
-# A motion by less than this share of the joints' median distance from their lines does not matter.
-STILL_SHARE = 0.02
+# A motion by less than this share of the joints' median distance from their lines does not matter; and what
+# all further rounds would move joints by, as a share of the last motion: each moves them by about a third as
+# far as the one before, at the most.
+STILL_SHARE, TO_COME = 0.02, 0.5
 
 
 def refine(
@@ -108,7 +110,7 @@ def refine_until_still(
     still_px: float = 0.003,
     most_rounds: int = 6,
 ) -> Fit | None:
-    """Like `refine` at one reach, measured again until no joint moves by more than `still_px` (RMS).
+    """Like `refine` at one reach, measured again until joints would move by no more than `still_px` (RMS).
 
     Where the joints lie less even, a part of how far they are off their lines is still enough.
     """
@@ -121,7 +123,7 @@ def refine_until_still(
         settled = strip is not None and fit.strip.like(strip)
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
         enough_px = max(still_px, STILL_SHARE * float(np.median(np.abs(fit.distances_px[fit.usable]))))
-        if not search and settled and _motion_px(fit, *before) < enough_px:
+        if not search and settled and TO_COME * _motion_px(fit, *before) < enough_px:
             break
         search = 0.0
     return fit

@@ -11,8 +11,9 @@ from jaxtyping import Float, Int, UInt8
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.grey_levels.joint_pixels import CROSSING, ON_X, ON_Y, JointPixels, View
-from autoreg.ground.points import project_ground
+from autoreg.ground.points import lengths, project_ground
 from autoreg.ground.sides import ALONG_X, Grid, Sides
+from autoreg.numbering import numbered
 
 # Pixels are taken from this many blurs on either side of a joint: farther off they tell little of its place,
 # and of a large picture's pixels so many fewer near it would be looked at, ...
@@ -23,8 +24,6 @@ CLEAR_BLURS = 4.5
 PIECE_PX = 24.0
 # Joints are straight over this length, whatever the lens.
 STRAIGHT_PX = 32.0
-# Codes of blocks up to this one have a table; it takes a few megabytes.
-MOST_CODES = 500_000
 # The picture's outermost pixels know nothing of what is blurred into them from outside.
 BORDER_PX = 3
 # Rows of a picture that are looked through at a time.
@@ -71,7 +70,7 @@ def _near_joints(
     """
     px, normal, half = _bands(camera, pose, sides, width)
     half += SHOULDER_BLURS * blur_px
-    length = np.linalg.norm(px[:, 1] - px[:, 0], axis=1)
+    length = lengths(px[:, 1] - px[:, 0])
     area = 2.0 * float(length @ half)
     coarse = max(1, int(np.sqrt(area / most)))
     # Squares in part of a band are looked through as well.
@@ -93,7 +92,7 @@ def _bands(
 ) -> tuple[Float[np.ndarray, "n 2 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
     """Pieces of the sides' joints in the picture: their ends, unit normals, and half their widths."""
     ends_px = project_ground(camera, pose, sides.ends)
-    count = np.ceil(np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1) / STRAIGHT_PX).astype(int)
+    count = np.ceil(lengths(ends_px[:, 1] - ends_px[:, 0]) / STRAIGHT_PX).astype(int)
     side = np.repeat(np.arange(len(sides)), count)
     nth = np.arange(len(side)) - np.repeat(np.cumsum(count) - count, count)
     fraction = (nth[:, None] + [0.0, 1.0]) / count[side, None]
@@ -172,9 +171,9 @@ def _placed(
     number, off_x = (np.where(lower, before[kept], beyond[kept]) for beyond, before in (numbers[:2], off[:2]))
     along = np.select([kind == ON_X, kind == ON_Y], [off_x * q_x[kept], off_y * q_y[kept]])
     piece = np.trunc(along / PIECE_PX)
-    cell, first = _numbered(number, line, lower)
+    cell, first = numbered(number, line, lower)
     # The pieces nearest to a crossing belong to it, whatever joint they are of.
-    block, pieces = _numbered(cell, np.where(piece == 0, 0, kind), piece)
+    block, pieces = numbered(cell, np.where(piece == 0, 0, kind), piece)
     own = np.where(kind == ON_Y, places[2][kept], places[0][kept])
     beside = np.where(kind == ON_X, off_x <= 0, np.where(kind == ON_Y, 2 * (off_y <= 0), 0))
     order = _by_kind_and_block(kind, block, len(pieces))
@@ -201,23 +200,3 @@ def _by_kind_and_block(kind: np.ndarray, block: np.ndarray, blocks: int) -> Int[
     key = kind.astype(np.int64) * blocks + block
     # Short integers are sorted by radix.
     return np.argsort(key.astype(np.min_scalar_type(3 * blocks)), kind="stable")
-
-
-def _numbered(*keys: np.ndarray) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]:
-    """Numbers from zero for equal whole numbers, in their order, and where one of each is."""
-    code = np.zeros(len(keys[0]), dtype=np.int64)
-    size = 1
-    for key in keys:
-        whole = key.astype(np.int64)
-        low, high = (int(whole.min()), int(whole.max())) if len(key) else (0, 0)
-        size *= high - low + 1
-        code = code * (high - low + 1) + (whole - low)
-    if size > MOST_CODES:
-        _, first, number = np.unique(code, return_index=True, return_inverse=True)
-        return number.ravel(), first
-    where = np.full(size, -1)
-    where[code] = np.arange(len(code))
-    there = np.flatnonzero(where >= 0)
-    number = np.empty(size, dtype=np.int64)
-    number[there] = np.arange(len(there))
-    return number[code], where[there]

@@ -42,6 +42,7 @@ from autoreg.grey_levels.photometric_step import (
     stepped_on,
 )
 from autoreg.ground.sides import Sides, visible_sides
+from autoreg.numbering import numbered
 from autoreg.solve import joint_data as terms
 from autoreg.solve.freedom import stretched
 from autoreg.solve.joint_data import PARAMETERS
@@ -167,9 +168,9 @@ def _sides(fit: Fit, reach: float, field: Float[np.ndarray, "k 2"] | None) -> Si
     stations = fit.stations
     good = fit.weight > LEAST_WEIGHT
     keys = np.stack([stations.family, stations.line, stations.cell], 1)
-    names, number = np.unique(keys, axis=0, return_inverse=True)
-    share = np.bincount(number.ravel(), good) / np.bincount(number.ravel())
-    refused = {tuple(name) for name in names[share < USABLE_SHARE].tolist()}
+    number, first = numbered(*keys.T)
+    share = np.bincount(number, good) / np.bincount(number)
+    refused = {tuple(name) for name in keys[first][share < USABLE_SHARE].tolist()}
     mine = np.stack([sides.family, sides.line, sides.cell], 1).tolist()
     return sides.take(np.array([k for k, key in enumerate(mine) if tuple(key) not in refused], dtype=int))
 

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
-from autoreg.ground.points import inside_convex, project_ground, visible_ground
+from autoreg.ground.points import inside_convex, lengths, project_ground, visible_ground
 
 ALONG_X, ALONG_Y = 0, 1
 
@@ -42,6 +42,11 @@ class Sides:
     def __len__(self) -> int:
         """Number of sides."""
         return len(self.family)
+
+    @property
+    def middle(self) -> Float[np.ndarray, "n 2"]:
+        """Ground points in the middle of the sides."""
+        return 0.5 * (self.ends[:, 0] + self.ends[:, 1])
 
     def take(self, index: np.ndarray) -> Sides:
         """The chosen sides."""
@@ -108,8 +113,8 @@ def visible_sides(
         half = shrink * (high - low)
         low, high = np.maximum(low, centre - half), np.minimum(high, centre + half)
     sides = slab_sides(grid, low, high)
-    middle = sides.ends.mean(1)
-    near = np.linalg.norm(middle - eye[:2], axis=1) < reach * eye[2]
+    middle = sides.middle
+    near = lengths(middle - eye[:2]) < reach * eye[2]
     if only is not None:
         near &= sides.family == only
     if field is not None:
@@ -118,16 +123,16 @@ def visible_sides(
     px = project_ground(camera, cam_from_ground, sides.ends)
     seen = _perhaps_seen(px, camera, min_px)
     if len(seen) > 3 * limit:
-        size_px = _slab_px(camera, cam_from_ground, grid, sides.ends[seen].mean(1))
+        size_px = _slab_px(camera, cam_from_ground, grid, sides.middle[seen])
         seen = seen[np.sort(np.argsort(-size_px, kind="stable")[: 3 * limit])]
     sides, px = _clipped(sides.take(seen), px[seen], camera, cam_from_ground, border_px)
     # The slab across the side, seen from the side's middle.
     across = np.where(sides.family[:, None] == ALONG_X, [[0.0, grid.spacing_y]], [[a, 0.0]])
-    beside = project_ground(camera, cam_from_ground, sides.ends.mean(1) + across)
+    beside = project_ground(camera, cam_from_ground, sides.middle + across)
     with np.errstate(invalid="ignore"):
         along = px[:, 1] - px[:, 0]
-        length = np.linalg.norm(along, axis=1)
-        off = beside - px.mean(1)
+        length = lengths(along)
+        off = beside - 0.5 * (px[:, 0] + px[:, 1])
         width = np.abs(along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]) / np.maximum(length, 1e-9)
         good = np.flatnonzero((length >= min_px) & (width >= min_px))
     if len(good) > limit:
@@ -137,12 +142,13 @@ def visible_sides(
 
 def _perhaps_seen(px: Float[np.ndarray, "n 2 2"], camera: Camera, min_px: float) -> np.ndarray:
     """Index of the sides that may be seen: all but those too short, or clearly beside the picture."""
-    size = np.array([camera.width, camera.height])
     with np.errstate(invalid="ignore"):
-        length = np.linalg.norm(px[:, 1] - px[:, 0], axis=1)
+        length = lengths(px[:, 1] - px[:, 0])
         # A lens bends a side by little of its length.
-        margin = 0.1 * length[:, None] + 1.0
-        away = ((px.max(1) < -margin) | (px.min(1) > size + margin)).any(1) | (length < min_px)
+        margin = 0.1 * length + 1.0
+        away = length < min_px
+        for size, one, other in zip((camera.width, camera.height), px[:, 0].T, px[:, 1].T, strict=True):
+            away |= (np.maximum(one, other) < -margin) | (np.minimum(one, other) > size + margin)
     return np.flatnonzero(~away)
 
 
@@ -152,10 +158,7 @@ def _slab_px(
     """The shorter side of a slab at each ground point, in pixels."""
     here = project_ground(camera, cam_from_ground, points)
     steps = np.diag([grid.spacing_x or grid.spacing_y, grid.spacing_y])
-    sides = [
-        np.linalg.norm(project_ground(camera, cam_from_ground, points + step) - here, axis=1)
-        for step in steps
-    ]
+    sides = [lengths(project_ground(camera, cam_from_ground, points + step) - here) for step in steps]
     # Where a slab's end is behind the camera the slab is near, and so large.
     return np.nan_to_num(np.minimum(*sides), nan=np.inf)
 
@@ -177,7 +180,8 @@ def _clipped(
 
     def inside(px: np.ndarray) -> np.ndarray:
         with np.errstate(invalid="ignore"):
-            return np.all((px > border_px) & (px < far), axis=-1)
+            within = (px > border_px) & (px < far)
+            return within[..., 0] & within[..., 1]
 
     ends, px = sides.ends.copy(), px.copy()
     kept = np.asarray(inside(px).all(1))

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
-from autoreg.ground.points import project_ground
+from autoreg.ground.points import lengths, project_ground
 from autoreg.ground.sides import ALONG_X, Sides
 
 
@@ -52,7 +52,7 @@ def place_stations(
     Where they would be more than `limit`, they are spread over all sides by leaving out every so many.
     """
     px = project_ground(camera, cam_from_ground, sides.ends)
-    usable = (1 - 2 * margin) * np.linalg.norm(px[:, 1] - px[:, 0], axis=1)
+    usable = (1 - 2 * margin) * lengths(px[:, 1] - px[:, 0])
     count = np.clip(np.round(usable / length_px), 1, 12).astype(int)
     side = np.repeat(np.arange(len(sides)), count)
     nth = np.arange(len(side)) - np.repeat(np.cumsum(count) - count, count)
@@ -61,7 +61,7 @@ def place_stations(
     start, end = sides.ends[side, 0], sides.ends[side, 1]
     stations = Stations(
         ground=start + fraction[:, None] * (end - start),
-        half_length=0.5 * step * np.linalg.norm(end - start, axis=1),
+        half_length=0.5 * step * lengths(end - start),
         family=sides.family[side],
         line=sides.line[side],
         cell=sides.cell[side],

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from autoreg.joints.profiles import Profiles
+from autoreg.joints.profiles import STEP_PX, Profiles
 from autoreg.joints.strips import (
     INDEPENDENT,
     NOISE_FLOOR,
@@ -25,6 +26,7 @@ from autoreg.joints.strips import (
     single,
     still_moving,
 )
+from autoreg.numbering import numbered
 
 # Profiles whose rooms differ by less are searched together.
 ROOM_STEP_PX = 4.0
@@ -47,26 +49,37 @@ class Offsets:
     strength: Float[np.ndarray, " n"]
 
 
-def _strips(
-    at: Float[np.ndarray, " p"], centre: Float[np.ndarray, " c"], width: float, blur: float
-) -> np.ndarray:
-    """Step and strip of one width at each centre, orthonormal and without mean: shape (c, p, 2).
+def _candidates(halves: int) -> Float[np.ndarray, " c"]:
+    """Offsets that are tried, in pixels: so many half pixels either way."""
+    return 0.5 * np.arange(-halves, halves + 1)
 
-    Orthonormal columns make the explained variance a sum of squares. The strip's sign is that of a light one.
+
+# The same strips are held against a photo's profiles again and again.
+@lru_cache(maxsize=128)
+def _strips(
+    samples: int, halves: int, width: float, blur: float
+) -> Float32[np.ndarray, "{samples} {4*halves+2}"]:
+    """Steps at all candidates, and behind them strips of one width, as columns of so many samples.
+
+    Both are orthonormal and without mean, which makes the explained variance a sum of squares. The strip's
+    sign is that of a light one.
     """
-    s = at - centre[:, None]
+    s = (np.arange(samples) - samples // 2) * STEP_PX - _candidates(halves)[:, None]
     near, far = (edge(single((s + side * 0.5 * width) / blur))[0].astype(float) for side in (1.0, -1.0))
-    both = np.stack([near + far, near - far], -1)
-    step, strip = np.moveaxis(both - both.mean(1, keepdims=True), 2, 0)
+    step, strip = near + far, near - far
+    for column in (step, strip):
+        column -= column.mean(1, keepdims=True)
     step /= np.linalg.norm(step, axis=1, keepdims=True)
     strip -= (step * strip).sum(1, keepdims=True) * step
-    return np.stack([step, strip / np.linalg.norm(strip, axis=1, keepdims=True)], -1)
+    strip /= np.linalg.norm(strip, axis=1, keepdims=True)
+    both = np.ascontiguousarray(single(np.concatenate([step, strip])).T)
+    both.setflags(write=False)
+    return both
 
 
 def _explained(centred: Float32[np.ndarray, "n p"], strips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Components of profiles along the step and along the strip, for each centre: two arrays (n, c)."""
-    c, p, _ = strips.shape
-    both = centred @ single(strips.transpose(1, 2, 0).reshape(p, 2 * c))
+    both, c = centred @ strips, strips.shape[1] // 2
     return both[:, :c], both[:, c:]
 
 
@@ -75,8 +88,9 @@ def _alike(
 ) -> Iterator[tuple[np.ndarray, float, int]]:
     """Rows of the profiles that can share a strip, its width (a power of the root of two), and their room."""
     level = np.round(2 * np.log2(np.maximum(width_px, 1.0))).astype(int)
-    for key in np.unique(np.stack([level, rooms], 1), axis=0):
-        yield np.flatnonzero((level == key[0]) & (rooms == key[1])), 2.0 ** (key[0] / 2), key[1]
+    number, first = numbered(level, rooms)
+    for k, one in enumerate(first):
+        yield np.flatnonzero(number == k), 2.0 ** (int(level[one]) / 2), int(rooms[one])
 
 
 def search_offsets(
@@ -87,7 +101,8 @@ def search_offsets(
     A Gaussian prior of `prior_px` settles ties in favour of the predicted place.
     """
     at = profiles.at_px
-    candidates = np.arange(-np.floor(reach_px), np.floor(reach_px) + 0.25, 0.5)
+    halves = 2 * int(reach_px)
+    candidates = _candidates(halves)
     prior = single(0.5 * (candidates / prior_px) ** 2)
     best = np.zeros(len(profiles.values))
     rooms = np.ceil(profiles.room_px / ROOM_STEP_PX).astype(int)
@@ -96,7 +111,7 @@ def search_offsets(
         values = profiles.values[np.ix_(rows, inside)]
         centred = values - values.mean(1, keepdims=True)
         total = (centred**2).sum(1, keepdims=True) + 1e-6
-        step, strip = _explained(centred, _strips(at[inside], candidates, width, blur))
+        step, strip = _explained(centred, _strips(int(inside.sum()), halves, width, blur))
         left = np.maximum(total - step**2 - strip**2, 1e-3 * total + 1e-6)
         likelihood = -0.5 * INDEPENDENT * inside.sum() * np.log(left) - prior
         best[rows] = candidates[likelihood.argmax(1)]
@@ -167,7 +182,7 @@ def strip_support(
     kind.
     """
     at = profiles.at_px
-    candidates = np.arange(-tolerance_px, tolerance_px + 0.25, 0.5)
+    halves = int(2 * tolerance_px)
     support = np.zeros(len(profiles.values))
     for rows, width, room in _alike(width_px, np.round(room_px).astype(int)):
         inside = np.abs(at) <= room
@@ -175,7 +190,7 @@ def strip_support(
         centred = values - values.mean(1, keepdims=True)
         # A grey level of noise keeps flat profiles from scoring by chance.
         total = ((centred**2).sum(1) + 0.5 * inside.sum())[:, None]
-        step, strip = _explained(centred, _strips(at[inside], candidates, width, blur))
+        step, strip = _explained(centred, _strips(int(inside.sum()), halves, width, blur))
         sign = polarity[rows, None]
         lined = np.where(strip * sign > 0, strip**2 / (total - step**2), 0.0)
         support[rows] = np.where(sign == 0, (step**2 + strip**2) / total, lined).max(1)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
-from autoreg.ground.points import project_ground
+from autoreg.ground.points import lengths, project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.stations import Stations
 from autoreg.joints.edges import Offsets, fit_offsets, search_offsets, strip_misfits
@@ -71,7 +71,7 @@ def projected_width_px(
 ) -> Float[np.ndarray, " n"]:
     """What a width on the ground, across the joints of either family, is in the picture."""
     far, near = _edges_px(camera, pose, stations, width)
-    return np.nan_to_num(np.linalg.norm(far - near, axis=1))
+    return np.nan_to_num(lengths(far - near))
 
 
 def _edges_px(

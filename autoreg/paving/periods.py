@@ -31,8 +31,9 @@ MIN_STEP = 5.0
 PIECE = 24
 # Parts of a line's length in which a field of paving may lie.
 WINDOWS = ((0.0, 1.0), (0.0, 0.5), (0.25, 0.75), (0.5, 1.0))
-# Entries of the table in which the support of a place on the ground is looked up.
-TABLE = 8192
+# Entries of the table in which the support of a place on the ground is looked up, and lines for which that is
+# done at a time: what a processor's cache holds.
+TABLE, AT_ONCE = 8192, 1024
 
 
 @dataclass(frozen=True)
@@ -129,17 +130,13 @@ class Lines:
     count: Int32[np.ndarray, " s"]
     order: Int[np.ndarray, " s"]
     block: Int[np.ndarray, " k"]
-    place: Int[np.ndarray, "lines phases"]
+    place: Int32[np.ndarray, "lines phases"]
 
     def gain(
         self, llr: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]
     ) -> Float32[np.ndarray, "lines phases"]:
         """Log likelihood ratio of each line; zero where it is not seen."""
         return np.append(np.where(valid, llr, 0.0), 0.0).astype(np.float32)[self.place]
-
-    def seen(self, valid: Bool[np.ndarray, " n"]) -> Float32[np.ndarray, "lines phases"]:
-        """One for each line that is seen, else zero."""
-        return np.append(valid, False).astype(np.float32)[self.place]
 
     def blocks(self, values: np.ndarray) -> Iterator[np.ndarray]:
         """The rows of each line number, from the first one on."""
@@ -159,22 +156,26 @@ class Lines:
 def predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray, " s"]) -> Lines:
     """All lines of every spacing and phase between the first and the last offset."""
     low, high = float(offset[0]), float(offset[-1])
-    row = np.rint(np.interp(np.linspace(low, high, TABLE), offset, np.arange(len(offset)))).astype(int)
+    row = np.rint(np.interp(np.linspace(low, high, TABLE), offset, np.arange(len(offset)))).astype(np.int32)
     first = np.floor(low / spacings).astype(np.int32)
     count = np.floor(high / spacings).astype(np.int32) + 1 - first
     order = np.argsort(-count, kind="stable")
     active = np.searchsorted(-count[order], -np.arange(count.max()))
     block = np.cumsum(active) - active
-    member = order[np.concatenate([np.arange(n) for n in active])]
+    member = order[np.arange(active.sum()) - np.repeat(block, active)]
     line = (first[member] + np.repeat(np.arange(len(active)), active)).astype(np.float32)
-    scale = (TABLE - 1) / (high - low)
-    spacing = spacings[member].astype(np.float32)[:, None]
+    scale = np.float32((TABLE - 1) / (high - low))
     phase = np.arange(PHASES, dtype=np.float32) / PHASES
-    index = np.rint((line[:, None] + phase) * (spacing * np.float32(scale)) - np.float32(low * scale))
-    inside = (index >= 0) & (index < TABLE)
-    index = np.where(inside, index, 0.0).astype(np.intp)
-    finest = (MIN_STEP * np.gradient(offset)[row]).astype(np.float32)
-    place = np.where(inside & (finest[index] <= spacing), row[index], len(offset))
+    # An entry at either end of the table stands for all places outside.
+    finest = np.pad((MIN_STEP * np.gradient(offset)[row]).astype(np.float32), 1, constant_values=np.inf)
+    row = np.pad(row, 1, constant_values=len(offset))
+    place = np.empty((len(line), PHASES), np.int32)
+    for start in range(0, len(line), AT_ONCE):
+        some = slice(start, start + AT_ONCE)
+        spacing = spacings[member[some], None].astype(np.float32)
+        at = np.rint((line[some, None] + phase) * (spacing * scale) - np.float32(low * scale))
+        index = np.clip(at + 1, 0, TABLE + 1).astype(np.intp)
+        place[some] = np.where(finest[index] <= spacing, row[index], len(offset))
     return Lines(spacings, first, count, order, block, place)
 
 
@@ -182,11 +183,12 @@ def comb_scores(
     lines: Lines, llr: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"], *, min_lines: int = 2
 ) -> Float[np.ndarray, "s phases"]:
     """Sum of the log likelihood ratios of every predicted line, for each spacing and phase."""
-    total, count = np.zeros((2, len(lines.order), PHASES), np.float32)
-    for sums, values in ((total, lines.gain(llr, valid)), (count, lines.seen(valid))):
-        for block in lines.blocks(values):
-            sums[: len(block)] += block
-    return lines.sorted(np.where(count >= min_lines, total, -np.inf).astype(float))
+    # The imaginary parts count the lines that are seen: both are looked up at once.
+    both = np.append(np.where(valid, llr + 1j, 0.0), 0.0).astype(np.complex64)
+    sums = np.zeros((len(lines.order), PHASES), np.complex64)
+    for place in lines.blocks(lines.place):
+        sums[: len(place)] += both[place]
+    return lines.sorted(np.where(sums.imag >= min_lines, sums.real, -np.inf).astype(float))
 
 
 def _run_scores(lines: Lines, gain: Float32[np.ndarray, "lines phases"]) -> Float32[np.ndarray, "s phases"]:

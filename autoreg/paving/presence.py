@@ -20,7 +20,7 @@ from scipy.spatial import ConvexHull, KDTree
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
-from autoreg.ground.points import inside_convex
+from autoreg.ground.points import inside_convex, lengths
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, Sides, visible_sides
 from autoreg.ground.stations import Stations
 from autoreg.joints.edges import strip_support
@@ -92,7 +92,7 @@ class Presence:
 
     def inside(self, field: Float[np.ndarray, "k 2"]) -> Presence:
         """The sides whose middle lies in a convex counter-clockwise polygon."""
-        return self.take(np.flatnonzero(inside_convex(self.sides.ends.mean(1), field, 0.0)))
+        return self.take(np.flatnonzero(inside_convex(self.sides.middle, field, 0.0)))
 
     def take(self, rows: np.ndarray) -> Presence:
         """The chosen sides."""
@@ -186,7 +186,7 @@ def support_beside(
     """
     across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
-    middle, half = sides.ends.mean(1), 0.4 * np.linalg.norm(sides.ends[:, 1] - sides.ends[:, 0], axis=1)
+    middle, half = sides.middle, 0.4 * lengths(sides.ends[:, 1] - sides.ends[:, 0])
     n, repeat = len(sides), len(shares)
     stations = Stations(
         ground=np.concatenate([middle + share * across[:, None] * direction for share in shares]),
@@ -248,9 +248,9 @@ def field_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:
     """
     if len(presence.p) == 0:
         raise ValueError("presence: no sides to span a field")
-    middle = presence.sides.ends.mean(1)
+    middle = presence.sides.middle
     there = presence.there
-    length = float(np.median(np.linalg.norm(presence.sides.ends[:, 1] - presence.sides.ends[:, 0], axis=1)))
+    length = float(np.median(lengths(presence.sides.ends[:, 1] - presence.sides.ends[:, 0])))
     n = len(middle)
     pairs = KDTree(middle).query_pairs(NEIGHBOURS * length, output_type="ndarray")
     both = np.concatenate([pairs, pairs[:, ::-1], np.repeat(np.arange(n), 2).reshape(-1, 2)])
@@ -266,7 +266,7 @@ def field_polygon(presence: Presence) -> Float[np.ndarray, "n 2"]:
     # Sides at the rim have half of their neighbours outside: those next to the core belong to the field.
     rim = there & (share > max(FIELD_DENSITY, RIM_DENSITY * usual))
     near = both[field[both[:, 0]] & rim[both[:, 1]]]
-    near = near[np.linalg.norm(middle[near[:, 0]] - middle[near[:, 1]], axis=1) < RIM * length]
+    near = near[lengths(middle[near[:, 0]] - middle[near[:, 1]]) < RIM * length]
     field[near[:, 1]] = True
     if field.sum() < 4:
         field = np.ones(n, dtype=bool)

@@ -131,7 +131,7 @@ def _interrupted(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np.nd
     line, p = halves.sides.line[rows], halves.p[rows]
     if np.mean(p > ABSENT_P) > MOST_GAPS:
         return True
-    piece = np.round(halves.sides.ends[rows].mean(1)[:, 0] / (across / 2.0) - 0.5).astype(int)
+    piece = np.round(halves.sides.middle[rows, 0] / (across / 2.0) - 0.5).astype(int)
     for period in GAP_PERIODS:
         for advance in range(period):
             residue = (piece - line * advance) % period

@@ -17,6 +17,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.joints.joint_looks import BLURS, DARK
 from autoreg.joints.smear import alike_in_px
+from autoreg.numbering import numbered
 
 # Share of the largest blur that is tried, from which on the blur itself is in doubt.
 MOST_BLUR = 0.85
@@ -55,9 +56,8 @@ class MeasuredJoints:
     def shared(self) -> tuple[Int[np.ndarray, " n"], ...]:
         """Numbers of what middles have in common: the line, and the field of one slab's size."""
         grid, stations = self.fit.grid, self.fit.stations.take(self.rows)
-        line = np.stack([stations.family, stations.line], 1)
         cell = np.floor(stations.ground / [grid.spacing_x or grid.spacing_y, grid.spacing_y])
-        return tuple(np.unique(key, axis=0, return_inverse=True)[1].ravel() for key in (line, cell))
+        return numbered(stations.family, stations.line)[0], numbered(*cell.T)[0]
 
     def middles_only(self, effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "k r"]:
         """Effects on the middles as such on all that is measured: they leave the widths alone."""

@@ -13,6 +13,7 @@ from autoreg.fitting.bare_steps import across_slope, only_steps, without_joints
 from autoreg.grey_levels.joint_image import SOON
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.stations import Stations
+from autoreg.numbering import numbered
 from autoreg.slabs.measured_joints import MeasuredJoints
 
 # Slope across the joint (ground distance over camera height) at which the relief stops growing.
@@ -60,7 +61,7 @@ def slab_effects(joints: MeasuredJoints, a: float, b: float, side: float) -> tup
     fit, wide, n = joints.fit, joints.wide, len(joints.rows)
     stations = fit.stations.take(joints.rows)
     along_x = stations.family == ALONG_X
-    keys, lever = [], []
+    rows, columns, lever = [], [], []
     for beyond in (0, 1):
         row = np.where(along_x, stations.line - 1 + beyond, np.floor(stations.ground[:, 1] / b)).astype(int)
         place = stations.ground[:, 0] / a - row * fit.grid.shift
@@ -69,8 +70,9 @@ def slab_effects(joints: MeasuredJoints, a: float, b: float, side: float) -> tup
         away = stations.ground - middle
         # A positive turn moves a slab's sides along X by +x, those along Y by -y.
         lever.append(np.where(along_x, away[:, 0], -away[:, 1]) / side)
-        keys.append(np.stack([row, column], 1))
-    names, slab = np.unique(np.concatenate(keys), axis=0, return_inverse=True)
+        rows.append(row)
+        columns.append(column)
+    slab, names = numbered(np.concatenate(rows), np.concatenate(columns))
     slab = slab.reshape(2, n)
     row = np.concatenate([np.tile(np.arange(n), 2), np.tile(n + np.arange(len(wide)), 2)])
 
@@ -225,9 +227,9 @@ def course_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n c"]:
     grid, stations = joints.fit.grid, joints.fit.stations.take(joints.rows)
     in_course = (stations.family == ALONG_Y) & (grid.shift != 0)
     line = np.where(in_course, stations.cell, stations.line)
-    names, member = np.unique(np.stack([stations.family, line], 1), axis=0, return_inverse=True)
+    member, names = numbered(stations.family, line)
     moved = np.zeros((len(joints.rows), len(names)))
-    moved[np.arange(len(member)), member.ravel()] = 1.0
+    moved[np.arange(len(member)), member] = 1.0
     if grid.spacing_x is not None and grid.shift == 0:
         moved = np.concatenate([moved, _askew(stations)], 1)
     return joints.middles_only(moved * joints.px_per_unit[:, None])

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.linalg.lapack import dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.sparse import hstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from autoreg.fitting.design_effect import drawn_design_effect
 from autoreg.fitting.fit import Fit
+from autoreg.slabs.banded import solve_lower_banded
 from autoreg.slabs.measured_joints import measured_joints
 from autoreg.slabs.slab_effects import (
     bloom_effects,
@@ -135,19 +135,23 @@ class SlabEquations:
         self.products = np.bincount(self.pair, self.pair_product / self.D[self.pair_row])
         self.ZDC = self.Z.T @ over
         self.CDC = self.columns.T @ over
+        self.factored: tuple[float, ...] | None = None
 
     def factor(self, sizes: Sizes) -> None:
         """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
         place, lift, turn, course = sizes
-        self.scale = np.array([place, place * lift, place * turn])[self.kind]
         self.course_size = place * course
-        band = np.zeros((int(self.below[-1]) + 1, len(self.scale)))
+        if self.factored == (place, lift, turn):
+            return
+        self.factored = place, lift, turn
+        self.scale = np.array([place, place * lift, place * turn])[self.kind]
+        band = np.zeros((int(self.below[-1]) + 1, len(self.scale)), order="F")
         both = self.scale[self.column] * self.scale[self.column + self.below]
         band[self.below, self.column] = self.products * both
         band[0] += 1.0
         self.cholesky = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
         self.logdet = float(np.log(self.D * self.weight).sum() + 2.0 * np.log(self.cholesky[0]).sum())
-        across, _ = dtbtrs(self.cholesky, self.scale[:, None] * self.ZDC, uplo="L")
+        across = solve_lower_banded(self.cholesky, self.scale[:, None] * self.ZDC)
         self.gram = self.CDC - across.T @ across
 
     def _solved(self, right: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from autoreg.fitting.fit import Fit
+from autoreg.numbering import numbered
 from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
 from autoreg.solve.joint_data import PARAMETERS
 from autoreg.solve.solver import Prior
@@ -37,8 +38,9 @@ WIDE_SEARCHES = (
 )
 FIRST = (0.33, 0.25, 0.3)
 NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0)),)
-# Factors of the likeliest place's size over which the answer is averaged.
-LIKELY = (0.55, 0.75, 1.0, 1.33, 1.8)
+# Factors of the likeliest place's size over which the answer is averaged, from it downwards and upwards, and
+# by how much less likely one is that no longer counts, nor do those beyond.
+LIKELY, NEGLIGIBLE_NATS = ((1.0, 0.75, 0.55), (1.33, 1.8)), 9.0
 # Where the widths tell the relief, its shape varies beyond the model: the variance is this much larger, as
 # measured on ray-traced pavings.
 MISFIT = 1.6
@@ -108,10 +110,7 @@ def estimate_motion(
         model.begin_anew()
     for _ in range(2):
         model.reweigh(sizes, relief)
-    found: list[tuple[float, np.ndarray, np.ndarray]] = []
-    for factor in LIKELY:
-        model.factor((factor * sizes[0], *sizes[1:]))
-        found += model.solve()
+    found = _likely(model, sizes)
     value = np.array([f[0] for f in found])
     weight = np.exp(value - value.max())
     weight /= weight.sum()
@@ -137,15 +136,32 @@ def estimate_motion(
     return Estimate(parameters, covariance, scatter)
 
 
+def _likely(model: SlabEquations, sizes: Sizes) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Log likelihood, motion and covariance, relief by relief, by scatters of about the likeliest size."""
+    found: list[tuple[float, np.ndarray, np.ndarray]] = []
+    best = -np.inf
+    for way in LIKELY:
+        for factor in way:
+            model.factor((factor * sizes[0], *sizes[1:]))
+            solved = model.solve()
+            found += solved
+            likelihood = max(value for value, _, _ in solved)
+            best = max(best, likelihood)
+            if likelihood < best - NEGLIGIBLE_NATS:
+                break
+    return found
+
+
 def _in_blocks(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
     """Some of the stations, in whole blocks of slabs spread over the ground: neighbours tell the scatter."""
     size = BLOCK_SLABS * np.array([fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y])
     block = np.floor(fit.stations.ground[rows] / size).astype(int)
-    names, member, count = np.unique(block, axis=0, return_inverse=True, return_counts=True)
+    member, first = numbered(*block.T)
+    names, count = block[first], np.bincount(member)
     # An order in which near and far blocks, left and right ones follow each other.
     order = np.argsort((5 * names[:, 0] + 3 * names[:, 1]) % 13, kind="stable")
     wanted = order[: 1 + int(np.searchsorted(np.cumsum(count[order]), SEARCHED))]
-    return rows[np.isin(member.ravel(), wanted)]
+    return rows[np.isin(member, wanted)]
 
 
 def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes, float]:

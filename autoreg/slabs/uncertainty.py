@@ -11,6 +11,7 @@ from jaxtyping import Float
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import FROM_THE_FEET, WIDE_SEARCH, refine, refine_until_still
 from autoreg.geometry import Rigid
+from autoreg.numbering import numbered
 from autoreg.paving.bond import customary_shift
 from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
 from autoreg.solve import joint_data as terms
@@ -167,7 +168,7 @@ def check_camera(
 def _clearly_evener(fit: Fit, scatter: Scatter) -> float:
     """Below what a scatter is clearly less than the given one, which the fit's slabs or courses told."""
     shared = fit.stations.line if scatter.course > scatter.place else fit.stations.side
-    told = len(np.unique(np.stack([fit.stations.family, shared], 1)[fit.usable], axis=0))
+    told = len(numbered(fit.stations.family[fit.usable], shared[fit.usable])[1])
     # The standard deviation of a standard deviation that n values tell, as a share of it.
     return min(EVENER, 1.0 - CLEARLY_SIGMAS / float(np.sqrt(2.0 * told))) * scatter.aside
 
