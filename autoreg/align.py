@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import numpy as np
@@ -204,10 +203,8 @@ def _concluded(
     field = settled.presence.field
     # A camera that comes from the joints themselves is nothing that they could contradict.
     asked = None if source == "photo" else picture
-    with ThreadPoolExecutor(1) as beside:
-        checked = beside.submit(check_camera, fit, asked, field, laid.likeliest.scatter)
-        last = rested(picture, laid.likeliest, REACH, field)
-        check = checked.result()
+    check = check_camera(fit, asked, field, laid.likeliest.scatter)
+    last = rested(picture, laid.likeliest, REACH, field)
     fit, told = last.fit, fit.grid.spacing_x is not None
     if source == "photo" and told and check.focal_sigma_px > MOST_SLABS_FOCAL_SIGMA * check.focal_px:
         sigma = check.focal_sigma_px / check.focal_px

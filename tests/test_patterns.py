@@ -6,7 +6,7 @@ from made_sides import made_presence, presence_with
 
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
 from autoreg.paving.lattice_choice import departs
-from autoreg.paving.patterns import best_pattern, broken, outstanding, true_sides
+from autoreg.paving.patterns import best_pattern, broken, outstanding, skipping, true_sides
 from autoreg.paving.presence import Presence
 
 
@@ -93,3 +93,26 @@ def test_joints_that_break_off_as_those_of_herringbone_are_told_from_worn_ones(f
     assert not broken(presence(seen & ~cuts), ALONG_X + ALONG_Y - family)
     for _ in range(5):
         assert not broken(presence(rng.uniform(size=len(sides)) > worn), family)
+
+
+@pytest.mark.parametrize("worn", [0.0, 0.2])
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_slabs_twice_as_long_are_told_from_worn_joints_wherever_their_courses_begin(family: int, worn: float):
+    rng = np.random.default_rng(11)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 12.0))
+    seen = rng.uniform(size=len(sides)) > worn
+    # Each course begins at one of two places.
+    begins = rng.integers(0, 2, int(sides.cell.max()) + 2)
+    ours = (sides.family != family) | ((sides.line + begins[sides.cell]) % 2 == 0)
+
+    def presence(there: np.ndarray) -> Presence:
+        p = np.where(there, rng.beta(0.2, 2.0, len(sides)), rng.uniform(size=len(sides)))
+        return presence_with(sides, np.maximum(p, 1e-3), beaten=p)
+
+    twice = presence(seen & ours)
+    assert best_pattern(twice, family)[0].period == 1
+    assert skipping(twice, family)
+    assert departs(twice)
+    assert not skipping(twice, ALONG_X + ALONG_Y - family)
+    for missing in (0.1, 0.3, 0.5, 0.7):
+        assert not skipping(presence(rng.uniform(size=len(sides)) > missing), family)

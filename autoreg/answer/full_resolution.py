@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from autoreg.answer.conclude import slab_mismatch, with_slab_ratio
 from autoreg.answer.last_step import likeliest
-from autoreg.answer.refusals import arcs, fanned, focal_untold, no_lattice
+from autoreg.answer.refusals import arcs, fanned, focal_untold, maybe_wall, no_lattice
 from autoreg.answer.right_angles import Squared, square_up
 from autoreg.errors import Refusal
 from autoreg.fitting.bare_steps import from_near_rims
@@ -92,12 +91,10 @@ def measured_slabs(
     bowed = _bowed(fit)
     if bowed is not None:
         raise bowed
-    with ThreadPoolExecutor(1) as beside:
-        rests = beside.submit(likeliest, picture, fit)
-        settled = presented(small, _at_detection_scale(fit, small, start))
-        if settled is None or settled.margin_nats < 0:
-            raise no_lattice(settled, None)
-        return Laid(fit, settled, rests.result())
+    settled = presented(small, _at_detection_scale(fit, small, start))
+    if settled is None or settled.margin_nats < 0:
+        raise no_lattice(settled, None)
+    return Laid(fit, settled, likeliest(picture, fit))
 
 
 def from_what_shows(fit: Fit) -> Fit:
@@ -121,8 +118,9 @@ def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, know
     if squared is None:
         raise focal_untold("rows", None, np.inf, MOST_FOCAL_SIGMA)
     if squared.sigma_log_focal > MOST_FOCAL_SIGMA:
-        focal_px = squared.settled.fit.camera.fx
-        raise focal_untold("rows", focal_px, squared.sigma_log_focal, MOST_FOCAL_SIGMA)
+        settled, sigma = squared.settled, squared.sigma_log_focal
+        wall = maybe_wall(settled.fit, settled.covariance)
+        raise wall or focal_untold("rows", settled.fit.camera.fx, sigma, MOST_FOCAL_SIGMA)
     return squared
 
 

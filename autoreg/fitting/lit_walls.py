@@ -155,31 +155,40 @@ def _likeliest_looks(
 ) -> tuple[float, float] | None:
     """How high the light reaches and how light the wall is; None if strips of one tone fit as well.
 
-    These may have any of the `plain_widths`. Climbs from the best of a few guesses over the values that are
-    tried.
+    These may have any of the `plain_widths`, the likeliest of which comes first. Climbs from the best of a
+    few guesses over the values that are tried.
     """
     # The widest show their parts best; every other one of them, so that they are not all of the same slabs.
     widest = np.argsort(-side.px_per_unit, kind="stable")
     side = side.take(np.sort(widest[: 2 * SAMPLE : 2 if len(widest) > SAMPLE else 1]))
     values = 0.5 * INDEPENDENT * side.weight.sum(1)
-    plain = min(float(values @ _fitted(side, each, 0.0, 1.0)[0]) for each in set(plain_widths))
+
+    def of_one_tone(own_width: float) -> float:
+        return float(values @ _fitted(side, own_width, 0.0, 1.0)[0])
 
     @cache
-    def nats(height: int, wall: int) -> float:
+    def of_three_parts(looks: tuple[int, int]) -> float:
+        height, wall = looks
         if not (0 <= height < len(HEIGHTS) and 0 <= wall < len(WALLS)):
-            return -np.inf
-        return plain - float(values @ _fitted(side, width, HEIGHTS[height], WALLS[wall])[0])
+            return np.inf
+        return float(values @ _fitted(side, width, HEIGHTS[height], WALLS[wall])[0])
 
-    best = max(AT_FIRST, key=lambda looks: nats(*looks))
-    if nats(*best) < HOPELESS_NATS:
+    best = min(AT_FIRST, key=of_three_parts)
+    likeliest, *others = dict.fromkeys(plain_widths)
+    plain = of_one_tone(likeliest)
+    # Other widths could only make one tone likelier.
+    if plain - of_three_parts(best) < HOPELESS_NATS:
+        return None
+    plain = min((plain, *map(of_one_tone, others)))
+    if plain - of_three_parts(best) < HOPELESS_NATS:
         return None
     while True:
         h, w = best
-        better = max(((h, w), (h - 1, w), (h + 1, w), (h, w - 1), (h, w + 1)), key=lambda looks: nats(*looks))
+        better = min(((h, w), (h - 1, w), (h + 1, w), (h, w - 1), (h, w + 1)), key=of_three_parts)
         if better == best:
             break
         best = better
-    return (HEIGHTS[best[0]], WALLS[best[1]]) if nats(*best) > least_nats else None
+    return (HEIGHTS[best[0]], WALLS[best[1]]) if plain - of_three_parts(best) > least_nats else None
 
 
 def _fitted(

@@ -50,7 +50,7 @@ FROM_THE_FEET, WIDE_SEARCH = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0), 0.15
 # A motion by less than this share of the joints' median distance from their lines does not matter; and what
 # all further rounds would move joints by, as a share of the last motion: each moves them by about a third as
 # far as the one before, at the most.
-STILL_SHARE, TO_COME = 0.02, 0.5
+STILL_SHARE, TO_COME = 0.04, 0.5
 
 
 def refine(

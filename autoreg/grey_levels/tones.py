@@ -46,19 +46,26 @@ class Blocks:
 
     def __init__(self, normal: Float[np.ndarray, "m t t"]) -> None:
         self.normal = normal
+        self._inverses: dict[bytes, Float[np.ndarray, "m t t"]] = {}
 
     def solve(
         self, sums: Float[np.ndarray, "m t c"], ridge: float | np.ndarray
     ) -> Float[np.ndarray, "m t c"]:
         """Tones by least squares, with what is known of them beforehand as a ridge."""
-        return np.linalg.solve(self._known(ridge), sums)
+        return self._inverse(ridge) @ sums
 
     def freedom(self, ridge: float | np.ndarray) -> float:
         """How many values the tones are fitted to: that of free tones, less what is known beforehand."""
-        return float(np.trace(np.linalg.solve(self._known(ridge), self.normal), axis1=1, axis2=2).sum())
+        # The trace of a product with a symmetric matrix is the sum of the products of their entries.
+        return float(np.vdot(self._inverse(ridge), self.normal))
 
-    def _known(self, ridge: float | np.ndarray) -> Float[np.ndarray, "m t t"]:
-        return self.normal + np.diag(np.broadcast_to(ridge, TONES) + 1e-6)
+    def _inverse(self, ridge: float | np.ndarray) -> Float[np.ndarray, "m t t"]:
+        """Covariances of the tones, in variances of a pixel's noise; the same are asked for several times."""
+        ridges = np.broadcast_to(np.asarray(ridge, float), TONES)
+        key = ridges.tobytes()
+        if key not in self._inverses:
+            self._inverses[key] = np.linalg.inv(self.normal + np.diag(ridges + 1e-6))
+        return self._inverses[key]
 
 
 def tone_variances(blocks: Blocks, sums: Float[np.ndarray, "m t 1"], noise: float) -> Float[np.ndarray, "2"]:

@@ -7,7 +7,6 @@ The presence of every single slab side tells.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -17,9 +16,8 @@ from autoreg.ground.ground_frame import turned, with_origin
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS, customary_shift
 from autoreg.paving.multiples import divided
-from autoreg.paving.patterns import Pattern, best_pattern, broken, outstanding, true_sides
+from autoreg.paving.patterns import Pattern, best_pattern, broken, outstanding, skipping, true_sides
 from autoreg.paving.presence import Presence, presence_of
-from autoreg.side_by_side import side_by_side
 
 # What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
 TESTED_NATS = 2 * float(np.log(7000)) + float(np.log(24))
@@ -151,6 +149,8 @@ def settle_bond(
 def departs(presence: Presence) -> bool:
     """Whether the sides that are absent follow a pattern that no lattice was found for: some other paving."""
     for family in (ALONG_X, ALONG_Y):
+        if skipping(presence, family):
+            return True
         patterns = best_pattern(presence, family)
         whole = next(pattern for pattern in patterns if pattern.period == 1)
         if patterns[0].score - whole.score > DEPARTS_NATS:
@@ -189,10 +189,10 @@ def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
         return None
     families = (ALONG_Y,) if fit.grid.shift else (ALONG_X, ALONG_Y)
     for factor in (2, 3):
-        finer = partial(_finer, picture, fit, factor)
-        found = next((f for f in side_by_side(finer, families) if f is not None), None)
-        if found is not None:
-            return found
+        for family in families:
+            found = _finer(picture, fit, factor, family)
+            if found is not None:
+                return found
     return None
 
 
