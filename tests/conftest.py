@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import pytest
+import scipy.linalg  # noqa: F401  # brings a BLAS of its own
 from paved import CHECKER, GRAVEL, HALF_BOND, STACK, fit_of
+from threadpoolctl import threadpool_limits
 
 from autoreg.fitting.fit import Fit
 from autoreg.ground.rectify import Rectified, picture_gradient, rectify
 from autoreg.synthetic import SyntheticPhoto, render_paving
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_blas_thread_in_tests() -> Generator[None]:
+    """BLAS on one thread, as `align` holds it: tests ask for the stages by themselves, several at a time."""
+    with threadpool_limits(1, user_api="blas"):
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -22,8 +22,8 @@ from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import with_origin
-from autoreg.ground.points import project_ground
-from autoreg.ground.sides import Grid
+from autoreg.ground.points import on_ground, project_ground
+from autoreg.ground.sides import ALONG_Y, Grid
 from autoreg.paving.presence import Presence, side_presence
 from autoreg.synthetic import SyntheticPhoto
 
@@ -142,6 +142,21 @@ def test_joints_are_named_by_where_they_lie(name: str, request: pytest.FixtureRe
         assert joint.rms_px < 0.5
     lines = [joint.index for joint in joints if joint.family == "x"]
     assert len(lines) == len(set(lines))
+
+
+def test_short_cross_joints_are_named_as_well_and_end_where_they_were_measured(
+    half_fit: Fit, half_photo: SyntheticPhoto
+):
+    # One station on each side, as the short sides of slabs seen from afar have.
+    first = np.unique(half_fit.stations.side, return_index=True)[1]
+    fit = replace(half_fit, usable=half_fit.usable & np.isin(np.arange(len(half_fit.usable)), first))
+    frame = canonical_frame(fit, presence_of(half_photo, fit), None)
+    cross = [joint for joint in fitted_joints(fit, frame) if joint.family == "y"]
+    told = fit.usable & (fit.stations.family == ALONG_Y) & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
+    assert len(cross) == told.sum() > 10
+    seen = [on_ground(joint.ends_px, fit.camera, fit.cam_from_ground) for joint in cross]
+    length = sorted(float(np.linalg.norm(ends[1] - ends[0])) for ends in seen)
+    assert length == pytest.approx(sorted(2.0 * fit.stations.half_length[told]), rel=1e-6)
 
 
 def test_the_residual_is_that_of_the_joints_that_fit(stack_fit: Fit):

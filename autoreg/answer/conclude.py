@@ -124,23 +124,26 @@ def measure_residual(fit: Fit) -> Residual:
 def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
     """The joint lines that carried the fit, in the chosen frame's families and indices.
 
-    An unbroken joint is one entry; the cross joints of a running bond are one each.
+    An unbroken joint is one entry; the cross joints of a running bond are one each, however short. Each ends
+    where the last stretch of it ends that was measured.
     """
     inlier = fit.usable & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
     grid = frame.grid(fit.grid)
     family, line, cell = fit.stations.family[inlier], fit.stations.line[inlier], fit.stations.cell[inlier]
     piece = np.where((family == ALONG_Y) & (fit.grid.shift != 0), cell, 0)
     ground, off = fit.stations.ground[inlier], fit.distances_px[inlier]
+    half_length = fit.stations.half_length[inlier]
     turned = frame.quarter_turns % 2 == 1
     joints: list[JointFit] = []
     inverse, first = numbered(family, line, piece)
     keys = np.stack([family, line, piece], 1)[first]
     for k in range(len(keys)):
         rows = np.flatnonzero(inverse == k)
-        if len(rows) < 2:
-            continue
-        along = ground[rows, keys[k, 0]]
-        ends = ground[rows[[int(along.argmin()), int(along.argmax())]]]
+        axis = keys[k, 0]
+        along, half = ground[rows, axis], half_length[rows]
+        low, high = int((along - half).argmin()), int((along + half).argmax())
+        ends = ground[rows[[low, high]]]
+        ends[:, axis] += -half[low], half[high]
         x, y = frame.points(ends.mean(0))
         name: Literal["x", "y"] = "x" if (keys[k, 0] == ALONG_X) != turned else "y"
         if name == "x":

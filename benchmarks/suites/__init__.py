@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib import import_module
 
+from autoreg.blas_threads import one_blas_thread
 from benchmarks.options import Options
 from benchmarks.result import Result
 
@@ -32,5 +33,7 @@ def chosen(only: Sequence[str], *, quick: bool) -> tuple[str, ...]:
 
 
 def run_suite(name: str, options: Options) -> Result:
-    """The result of one suite."""
-    return import_module(f"benchmarks.suites.{name}").run(options)
+    """The result of one suite, with BLAS on one thread, as `align` holds it."""
+    suite = import_module(f"benchmarks.suites.{name}")
+    with one_blas_thread():
+        return suite.run(options)
