@@ -5,7 +5,7 @@ import pytest
 from made_sides import made_presence, presence_with
 
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
-from autoreg.paving.lattice_choice import departs
+from autoreg.paving.lattice_choice import departs, hopeful
 from autoreg.paving.patterns import best_pattern, broken, outstanding, skipping, true_sides
 from autoreg.paving.presence import Presence
 
@@ -116,3 +116,14 @@ def test_slabs_twice_as_long_are_told_from_worn_joints_wherever_their_courses_be
     assert not skipping(twice, ALONG_X + ALONG_Y - family)
     for missing in (0.1, 0.3, 0.5, 0.7):
         assert not skipping(presence(rng.uniform(size=len(sides)) > missing), family)
+
+
+def test_a_start_may_be_worth_following_for_one_family_or_only_for_both():
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
+    one, both, none = (
+        made_presence(there) for there in (sides.family == ALONG_X, np.array(True), np.array(False))
+    )
+    assert hopeful(one, both=False)
+    assert not hopeful(one, both=True)
+    assert hopeful(both, both=True)
+    assert not hopeful(none, both=False)

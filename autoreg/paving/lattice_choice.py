@@ -26,8 +26,9 @@ INDEPENDENT_SIDES = 3.0
 # Logarithm by which the sides' ratio in the photo may differ from the given one: coarse fits, uneven slabs
 # and nominal sizes without the joint stay below it.
 RATIO_TOLERANCE = 0.08
-# A start whose sides carry less, in the best pattern of the clearer family or of the other, leads nowhere. Of
-# 180 that led to a lattice the other carried less than 6 in one, and of 340 that did not less than 0 in 200.
+# A start whose sides carry less, in the best pattern of the clearer family, leads nowhere. Nor do most where
+# the other family carries less than the second: it did in 200 of 340 that led nowhere, but also in one of 180
+# that led to a lattice, of which the start had every second joint, or something beside it.
 HOPEFUL_NATS, LEAST_HOPEFUL_NATS = 3.0, 0.0
 # A lattice this close to the best one is as good an answer.
 RIVAL_NATS = 3.0
@@ -159,10 +160,10 @@ def departs(presence: Presence) -> bool:
     return False
 
 
-def hopeful(presence: Presence) -> bool:
-    """Whether regular choices of a lattice's sides are there rather than not, clearly so in one family."""
+def hopeful(presence: Presence, *, both: bool) -> bool:
+    """Whether some regular choice of a lattice's sides is clearly there in one family, or is in `both`."""
     best = [best_pattern(presence, family)[0].score for family in (ALONG_X, ALONG_Y)]
-    return min(best) > LEAST_HOPEFUL_NATS and max(best) > HOPEFUL_NATS
+    return max(best) > HOPEFUL_NATS and (min(best) > LEAST_HOPEFUL_NATS or not both)
 
 
 def same_lattice(one: Fit, other: Fit) -> bool:

@@ -60,8 +60,9 @@ def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ..
     for start in _starts(looks, plane):
         if any(start.like(other) for other in tried):
             continue
+        # The first start may be refined to a finer lattice whose joints its own miss.
+        laid = _laid(looks, plane, start, free, both=bool(tried))
         tried.append(start)
-        laid = _laid(looks, plane, start, free)
         found += [] if laid is None else [laid]
         if (laid is not None and laid.margin_nats > CERTAIN_NATS) or len(tried) > MOST_STARTS:
             break
@@ -134,13 +135,13 @@ def _bond_start(R: np.ndarray, bond: BondHypothesis) -> _Start:
     return _Start(turned(pose) if bond.turned else pose, bond.grid)
 
 
-def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free) -> Paving | None:
-    """The lattice that a start leads to, if any."""
+def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: bool = False) -> Paving | None:
+    """The lattice that a start leads to, if any; only if the joints of `both` families may be there."""
     fit = fit_outwards(looks.picture, plane, start.pose, start.grid, free, start.field)
     if fit is None:
         return None
     presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES)
-    if len(presence.p) < 6 or not hopeful(presence):
+    if len(presence.p) < 6 or not hopeful(presence, both=both):
         return None
     field = field_polygon(presence)
     if fills(fit, field):

@@ -18,7 +18,7 @@ BROKEN_P, PRESENT_P, BREAK_SIGMAS = 0.35, 0.15, 3.0
 # pairs at least. In lattices of true joints they are by 0.46 at most, where every second or third is by 0.7.
 STRONGER, FEWEST_PAIRS = 0.65, 16
 # Neighbouring joints that are both there are too few for a lattice of slabs below this share of what chance
-# would leave, and so many standard deviations of that. In 130 families of joints of lattices they are no fewer
+# would leave, and so many standard deviations of that. In 130 families of joints of lattices they are no less
 # than nineteen in twenty of it.
 BESIDE_SHARE, BESIDE_SIGMAS = 0.6, 3.5
 # How much better a pattern of absent sides must explain them than all sides being there.
