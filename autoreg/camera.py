@@ -81,19 +81,12 @@ class Camera:
 
     def project(self, points_cam: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 2"]:
         """Pixels of camera-frame points; NaN for points that are not in front of the camera."""
-        z = points_cam[..., 2:]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            xy = np.where(z > 0, points_cam[..., :2] / z, np.nan)
-        return self.pixels(xy)
-
-    def pixels(self, xy: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-        """Pixels of ideal normalised coordinates."""
-        distorted = self.distort(xy)
-        px = np.empty(distorted.shape)
         # Column by column: NumPy is slow where the last axis is short.
-        px[..., 0] = distorted[..., 0] * self.fx + self.cx
-        px[..., 1] = distorted[..., 1] * self.fy + self.cy
-        return px
+        x, y, z = np.moveaxis(points_cam, -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            over = np.where(z > 0, 1.0 / z, np.nan)
+            xy = self.distort(np.moveaxis(np.stack([x * over, y * over]), 0, -1))
+        return np.stack([xy[..., 0] * self.fx + self.cx, xy[..., 1] * self.fy + self.cy], -1)
 
     def normalise(self, px: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Ideal normalised coordinates of pixels; NaN where no ray inside the valid field lands.

@@ -13,13 +13,9 @@ def project_ground(
     camera: Camera, cam_from_ground: Rigid, points: Float[np.ndarray, "*n 2"]
 ) -> Float[np.ndarray, "*n 2"]:
     """Pixels of points of the ground plane."""
-    flat, R = points.reshape(-1, 2), cam_from_ground.R
-    # The same as `camera.project` of the points in its frame, in a tenth of the time.
-    x, y, z = R[:, :2] @ flat.T + cam_from_ground.t[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        over = np.where(z > 0, 1.0 / z, np.nan)
-        xy = np.stack([x * over, y * over]).T
-    return camera.pixels(xy).reshape(points.shape)
+    # Coordinate by coordinate, as `project` takes them: NumPy is slow where the last axis is short.
+    in_camera = cam_from_ground.R[:, :2] @ points.reshape(-1, 2).T + cam_from_ground.t[:, None]
+    return camera.project(in_camera.T).reshape(points.shape)
 
 
 def lengths(vectors: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
