@@ -166,7 +166,13 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
 def _at_detection_scale(fit: Fit, small: np.ndarray, found: Paving) -> Fit:
     """A fit as the small picture shows it, where the presence of sides is judged."""
     camera = fit.camera.scaled(small.shape[1], small.shape[0])
-    strip = replace(fit.strip, blur_px=found.fit.strip.blur_px, polarity=found.fit.strip.polarity)
+    smear_x, smear_y = (px * small.shape[1] / fit.camera.width for px in fit.strip.smear_px)
+    strip = replace(
+        fit.strip,
+        blur_px=found.fit.strip.blur_px,
+        polarity=found.fit.strip.polarity,
+        smear_px=(smear_x, smear_y),
+    )
     return replace(fit, camera=camera, strip=strip)
 
 

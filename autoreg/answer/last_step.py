@@ -32,18 +32,21 @@ def likeliest(picture: Float[np.ndarray, "h w"], fit: Fit) -> Settled:
     how far the relief of sunk joints moves them. Without these a relief is hard to tell from a shift of all
     joints, and the plain joints know the place better.
     """
-    # The widths that joints have in a smeared picture would be taken for relief.
-    at_px = fit.profiles.centre_px[fit.usable]
     if fit.grid.spacing_x is None:
-        return settle(fit, widths=not smeared(picture, at_px))
+        return settle(fit, widths=_sharp(picture, fit))
     fit = without_washed_out(fit)
-    widths = widths_told(fit) and not smeared(picture, at_px)
+    widths = widths_told(fit) and _sharp(picture, fit)
     settled = settle(fit, widths=widths)
     if not widths:
         return replace(settled, fit=recentred(settled.fit))
     return replace(
         settled, narrowing=slab_effects.narrowing(measured_joints(fit, np.flatnonzero(fit.usable)))
     )
+
+
+def _sharp(picture: Float[np.ndarray, "h w"], fit: Fit) -> bool:
+    """Whether joints are as wide as they look: a smear would be taken for relief."""
+    return not any(fit.strip.smear_px) and not smeared(picture, fit.profiles.centre_px[fit.usable])
 
 
 def rested(
@@ -60,8 +63,9 @@ def rested(
     fit = settled.fit
     if fit.grid.spacing_x is None:
         return settled
-    # The grey levels are held against flat joints, and sunk ones look much like these at another pose.
-    if settled.narrowing > SUNK:
+    # The grey levels are held against flat joints, and sunk ones look much like these at another pose; nor do
+    # these know of a smear.
+    if settled.narrowing > SUNK or any(fit.strip.smear_px):
         return settled
     if settled.scatter.aside * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
         return settled

@@ -28,6 +28,7 @@ from autoreg.joints.joint_looks import (
     width_px_of,
 )
 from autoreg.joints.profiles import Profiles, sample_profiles
+from autoreg.joints.smeared_looks import smear_px
 from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.solve.joint_data import JointData, parameter_scale
 from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, solve_joints
@@ -122,6 +123,11 @@ def refine_until_still(
             return None
         settled = strip is not None and fit.strip.like(strip)
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
+        if search and not any(strip.smear_px):
+            smear = smear_px(fit.profiles, fit.stations, strip, fit.usable)
+            if any(smear):
+                strip = replace(strip, smear_px=smear)
+                continue
         enough_px = max(still_px, STILL_SHARE * float(np.median(np.abs(fit.distances_px[fit.usable]))))
         if not search and settled and TO_COME * _motion_px(fit, *before) < enough_px:
             break
@@ -164,6 +170,7 @@ def _round(
         half = np.clip(0.35 * slab_px, least, UNKNOWN_HALF_PX)
     else:
         wide_px = projected_width_px(camera, pose, stations, strip.width)
+        wide_px = np.maximum(wide_px, strip.least_px(stations))
         half = np.clip(0.5 * wide_px + SHOULDERS_PX, least, WIDEST_HALF_PX)
     profiles = sample_profiles(picture, camera, pose, stations, half + 3.0)
     pitch_px = across * profiles.px_per_unit

@@ -32,6 +32,8 @@ from autoreg.numbering import numbered
 ROOM_STEP_PX = 4.0
 # Wider strips are searched as if they were so wide.
 WIDEST_PX = 2.0**4.5
+# Columns that are shorter than this are rounding errors.
+LEAST_NORM = 1e-6
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,8 @@ def _strips(
         column -= column.mean(1, keepdims=True)
     step /= np.linalg.norm(step, axis=1, keepdims=True)
     strip -= (step * strip).sum(1, keepdims=True) * step
-    strip /= np.linalg.norm(strip, axis=1, keepdims=True)
+    # Where one edge lies beyond the samples a strip is no more than a step.
+    strip /= np.maximum(np.linalg.norm(strip, axis=1, keepdims=True), LEAST_NORM)
     both = np.ascontiguousarray(single(np.concatenate([step, strip])).T)
     both.setflags(write=False)
     return both

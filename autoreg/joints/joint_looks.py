@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
@@ -48,22 +48,29 @@ class Strip:
 
     `polarity` is -1 where a family's joints are darker than their slabs, +1 where they are lighter, and 0
     where they are neither (tiles of two tones that meet without a joint); once known, it is not asked again.
+    Where the camera moved while the shutter was open, no joint of a family looks narrower than `smear_px`.
     """
 
     width: tuple[float, float]
     blur_px: float
     polarity: tuple[int, int] = (0, 0)
     polarity_known: bool = False
+    smear_px: tuple[float, float] = (0.0, 0.0)
 
     def like(self, other: Strip) -> bool:
         """Whether widths and blur are the same but for a few percent."""
-        mine, theirs = ((*strip.width, strip.blur_px) for strip in (self, other))
+        mine, theirs = ((*strip.width, strip.blur_px, *strip.smear_px) for strip in (self, other))
         return bool(np.allclose(mine, theirs, rtol=SETTLED))
+
+    def least_px(self, stations: Stations) -> Float[np.ndarray, " n"]:
+        """Width in pixels that no station's joint looks narrower than."""
+        return np.where(stations.family == ALONG_X, *self.smear_px)
 
 
 def width_px_of(strip: Strip, stations: Stations, profiles: Profiles) -> Float[np.ndarray, " n"]:
     """Width of each station's joint in pixels."""
-    return np.where(stations.family == ALONG_X, strip.width[0], strip.width[1]) * profiles.px_per_unit
+    own = np.where(stations.family == ALONG_X, *strip.width) * profiles.px_per_unit
+    return np.maximum(own, strip.least_px(stations))
 
 
 def projected_width_px(
@@ -182,7 +189,7 @@ def estimate_strip(
 
     Near what is known of them, unless `thorough`.
     """
-    width, blur = list(strip.width), strip.blur_px
+    width, smear, blur = list(strip.width), list(strip.smear_px), strip.blur_px
     samples = [_sample(usable & (stations.family == family)) for family in (ALONG_X, ALONG_Y)]
     for family, rows in enumerate(samples):
         if len(rows) < 6:
@@ -198,25 +205,29 @@ def estimate_strip(
         if strip.polarity[family] == 0:
             # Between tones that only step up and down, a wide strip fits whatever else is near.
             options = options[options < MOST_NEUTRAL * across]
-        widths_px = options[:, None] * profiles.px_per_unit[rows]
-        known_blur = np.full(len(options), blur)
-        costs = strip_misfits(profiles, rows, offsets.offset_px[rows], widths_px, known_blur)
-        width[family] = _lowest(np.log(options), costs)
+        scale, offset_px = profiles.px_per_unit[rows], offsets.offset_px[rows]
+        widths_px = np.maximum(options[:, None] * scale, smear[family])
+        width[family] = _likeliest(profiles, rows, offset_px, options, widths_px, blur)
+        if smear[family] > 0.0:
+            options = smear[family] * NEARBY
+            widths_px = np.maximum(width[family] * scale, options[:, None])
+            smear[family] = _likeliest(profiles, rows, offset_px, options, widths_px, blur)
         if strip.polarity[family] == 0:
             # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
             # The two ideas are each given their own offsets and blur before they are compared.
             ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
             some = profiles.take(rows)
-            misfits = [_idea_misfit(some, offsets.offset_px[rows], idea, blur) for idea in ideas]
+            misfits = [_idea_misfit(some, offset_px, idea, blur) for idea in ideas]
             gain = float(np.exp(misfits[1]) - np.exp(misfits[0]))
             if misfits[1] < misfits[0] + NO_JOINT_BONUS or gain < NO_JOINT_GAIN:
                 width[family] = NO_JOINT * across
     rows = np.concatenate(samples)
-    strip = replace(strip, width=(width[0], width[1]))
+    strip = replace(strip, width=(width[0], width[1]), smear_px=(smear[0], smear[1]))
     blurs = BLURS if thorough else np.clip(blur * NEARBY, BLURS[0], BLURS[-1])
     widths_px = np.tile(width_px_of(strip, stations, profiles)[rows], (len(blurs), 1))
-    costs = strip_misfits(profiles, rows, offsets.offset_px[rows], widths_px, blurs)
-    return replace(strip, blur_px=_lowest(np.log(blurs), costs))
+    return replace(
+        strip, blur_px=_likeliest(profiles, rows, offsets.offset_px[rows], blurs, widths_px, blurs)
+    )
 
 
 def _sample(mask: np.ndarray) -> np.ndarray:
@@ -234,6 +245,22 @@ def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: f
         blurs = np.array([wider * blur])
         misfits.append(float(strip_misfits(profiles, rows, own.offset_px, width_px[None], blurs)[0]))
     return min(misfits)
+
+
+def _likeliest(
+    profiles: Profiles,
+    rows: Int[np.ndarray, " n"],
+    offset_px: Float[np.ndarray, " n"],
+    options: Float[np.ndarray, " k"],
+    widths_px: Float[np.ndarray, "k n"],
+    blurs: float | Float[np.ndarray, " k"],
+) -> float:
+    """The option whose widths and blur explain some stations' profiles best."""
+    costs = strip_misfits(profiles, rows, offset_px, widths_px, np.broadcast_to(blurs, options.shape))
+    if np.ptp(costs) == 0.0:
+        # A smear may be wider than the joints are by any option.
+        return float(np.median(options))
+    return _lowest(np.log(options), costs)
 
 
 def _lowest(log_at: np.ndarray, cost: np.ndarray) -> float:

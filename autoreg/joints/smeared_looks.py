@@ -1,0 +1,55 @@
+"""How wide joints look that are smeared by more than their own width: alike in pixels, near and far."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool
+
+from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.ground.stations import Stations
+from autoreg.joints.edges import fit_offsets, search_offsets, strip_misfits
+from autoreg.joints.joint_looks import Strip
+from autoreg.joints.profiles import Profiles
+from autoreg.joints.smear import FEWEST
+
+# Looks that smeared joints are tried with: no narrower than so many pixels, and else as wide as such parts of
+# the width that is taken for theirs.
+NARROWEST_PX, OWN_PARTS = np.r_[0.0, np.geomspace(3.0, 18.0, 5)], np.array([0.35, 0.6, 1.0])
+# They are looked for within so many pixels, at most as wide as such a part of what is seen to either side.
+# The mean log variance must be lower by so much: sharp joints of right lattices lower it by up to 0.06,
+# smears of 4 pixels by 0 to 0.6, and those of 6 to 12 by 0.4 to 2.
+SEARCH_PX, MOST_OF_ROOM, CLEARER = 6.0, 1.6, 0.25
+# Stations of either family that tell it.
+SAMPLE = 30
+
+
+def smear_px(
+    profiles: Profiles, stations: Stations, strip: Strip, usable: Bool[np.ndarray, " n"]
+) -> tuple[float, float]:
+    """Width in pixels that no joint of either family looks narrower than; 0 where there is no such width.
+
+    A width on the ground that is fitted to smeared joints is too large for the near ones, and for the far
+    ones too small: a strip that is too narrow holds on to one edge, whichever is nearer.
+    """
+    found = [0.0, 0.0]
+    for family in (ALONG_X, ALONG_Y):
+        rows = np.flatnonzero(usable & (stations.family == family))
+        if strip.polarity[family] == 0 or len(rows) < FEWEST:
+            continue
+        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)]
+        parts_px = OWN_PARTS[:, None, None] * strip.width[family] * profiles.px_per_unit[rows]
+        tried = np.maximum(parts_px, NARROWEST_PX[:, None]).reshape(-1, len(rows))
+        # Slabs are to be seen on either side.
+        tried = np.minimum(tried, MOST_OF_ROOM * profiles.room_px[rows])
+        # Where the joints lie is asked of all widths at once.
+        every, width_px = profiles.take(np.tile(rows, len(tried))), tried.ravel()
+        start = search_offsets(every, width_px, SEARCH_PX, SEARCH_PX, strip.blur_px)
+        placed = fit_offsets(every, start, width_px, strip.blur_px, iterations=2).offset_px
+        misfits = [
+            strip_misfits(profiles, rows, offset, width[None], np.array([strip.blur_px]))[0]
+            for offset, width in zip(placed.reshape(tried.shape), tried, strict=True)
+        ]
+        least = np.reshape(misfits, (len(OWN_PARTS), -1)).min(0)
+        if least.min() < least[0] - CLEARER:
+            found[family] = float(NARROWEST_PX[least.argmin()])
+    return found[0], found[1]
