@@ -47,7 +47,8 @@ STILL, MOST_STEP, MOST_ROUNDS, REWEIGHTINGS = 0.5, 0.15, 8, 12
 SEARCH = 0.04
 
 # What the unbroken joints tell, and what they do not, in the order of the estimate.
-_TOLD, _CAMERA = (0, 1, 2, 3, 4, 5, terms.RADIAL), (terms.FOCAL, 8, 9, terms.ASPECT)
+_TOLD = (0, 1, 2, 3, 4, 5, terms.RADIAL)
+_CAMERA = (terms.FOCAL, terms.CENTRE_X, terms.CENTRE_Y, terms.ASPECT)
 _ALL = (*_TOLD, *_CAMERA)
 _K = len(_TOLD)
 

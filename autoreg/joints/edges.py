@@ -203,13 +203,13 @@ def strip_support(
 def strip_misfits(
     profiles: Profiles,
     rows: Int[np.ndarray, " n"],
-    offset_px: Float[np.ndarray, " n"],
+    offset_px: Float[np.ndarray, "... n"],
     width_px: Float[np.ndarray, "k n"],
     blur: Float[np.ndarray, " k"],
 ) -> Float[np.ndarray, " k"]:
     """Mean logarithm of some stations' unexplained variance, for each of several widths and blurs.
 
-    `offset_px` is where the joints of those stations lie.
+    `offset_px` is where the joints of those stations lie, or where they do for each width and blur.
     """
     k, n = width_px.shape
     inside = (np.abs(profiles.at_px) <= profiles.room_px[rows, None]).astype(np.float32)
@@ -220,6 +220,6 @@ def strip_misfits(
         single(width_px.ravel()),
         np.repeat(single(blur), n)[:, None],
     )
-    strip.at(np.tile(single(profiles.at_px) - single(offset_px)[:, None], (k, 1)))
+    strip.at(single(profiles.at_px) - single(np.broadcast_to(offset_px, (k, n)).reshape(-1, 1)))
     left, total = (dot(strip.weight * v, v) for v in (strip.misfit, strip.values))
     return np.log(left / np.maximum(total, 1e-9) + 1e-3).reshape(k, n).mean(1).astype(float)

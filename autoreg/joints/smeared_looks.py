@@ -20,7 +20,7 @@ NARROWEST_PX, OWN_PARTS = np.r_[0.0, np.geomspace(3.0, 18.0, 5)], np.array([0.35
 # smears of 4 pixels by 0 to 0.6, and those of 6 to 12 by 0.4 to 2.
 SEARCH_PX, MOST_OF_ROOM, CLEARER = 6.0, 1.6, 0.25
 # Stations of either family that tell it.
-SAMPLE = 30
+SAMPLE = 24
 
 
 def smear_px(
@@ -44,11 +44,9 @@ def smear_px(
         # Where the joints lie is asked of all widths at once.
         every, width_px = profiles.take(np.tile(rows, len(tried))), tried.ravel()
         start = search_offsets(every, width_px, SEARCH_PX, SEARCH_PX, strip.blur_px)
-        placed = fit_offsets(every, start, width_px, strip.blur_px, iterations=2).offset_px
-        misfits = [
-            strip_misfits(profiles, rows, offset, width[None], np.array([strip.blur_px]))[0]
-            for offset, width in zip(placed.reshape(tried.shape), tried, strict=True)
-        ]
+        placed = fit_offsets(every, start, width_px, strip.blur_px, iterations=1).offset_px
+        blurs = np.full(len(tried), strip.blur_px)
+        misfits = strip_misfits(profiles, rows, placed.reshape(tried.shape), tried, blurs)
         least = np.reshape(misfits, (len(OWN_PARTS), -1)).min(0)
         if least.min() < least[0] - CLEARER:
             found[family] = float(NARROWEST_PX[least.argmin()])

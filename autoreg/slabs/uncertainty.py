@@ -185,7 +185,7 @@ def _focal_alone(both: Estimate, known: Free, centre: Float[np.ndarray, "2"]) ->
     It is held there, or as near to it as it is known to be; a lens that is not known is estimated beside it.
     """
     C, x = both.covariance, both.parameters
-    held = [8, 9] if known.radial else [8, 9, terms.RADIAL]
+    held = [terms.CENTRE_X, terms.CENTRE_Y, *(() if known.radial else (terms.RADIAL,))]
     doubt = np.zeros(len(held))
     doubt[:2] = known.centre_sigma_px**2 if known.centre else 0.0
     pull = np.linalg.solve(C[np.ix_(held, held)] + np.diag(doubt), C[held, terms.FOCAL])
@@ -263,7 +263,7 @@ def _contradiction(asked: Fit, told: Fit, motion: Estimate) -> tuple[float, Floa
     moved = np.array(
         [np.log(own.fx / given.fx), own.cx - given.cx, own.cy - given.cy, own.dist[0] - given.dist[0]]
     )
-    asked_of = [terms.FOCAL, 8, 9, terms.RADIAL]
+    asked_of = [terms.FOCAL, terms.CENTRE_X, terms.CENTRE_Y, terms.RADIAL]
     shift = motion.parameters[asked_of] + moved
     corner = 0.5 * float(np.hypot(given.width, given.height)) / given.fx
     tolerance = np.array(

@@ -12,7 +12,8 @@ from jaxtyping import Float
 # logarithm of what fy is longer than fx by.
 PARAMETERS = 12
 ROTATION, TRANSLATION, RATIO = slice(0, 3), slice(3, 6), 6
-FOCAL, CENTRE, RADIAL, ASPECT = 7, slice(8, 10), 10, 11
+FOCAL, CENTRE_X, CENTRE_Y, RADIAL, ASPECT = range(7, 12)
+CENTRE = slice(CENTRE_X, CENTRE_Y + 1)
 
 
 class JointData(NamedTuple):
