@@ -27,8 +27,9 @@ ANY_RADIAL = 0.5
 # Above this chi-square, or where slabs seem to lie this share of a side off, or more than this share of a
 # family's joints is missed, the joints are measured again.
 DOUBT, UNEVEN, MISSED = 1.0, 0.01, 0.15
-# To be believed, a free camera must lower the share of joints that are missed to this, and may leave them so
-# much farther from their lines; or it must lower the slabs' scatter and the joints' distances to these.
+# To be believed, a free camera must lower the share of missed joints to this, if it gave doubt, and may leave
+# them so much farther from their lines; or it must lower the slabs' scatter and the joints' distances
+# to these. Right cameras miss up to a tenth of the joints for other reasons.
 FEWER, ROUGHER, EVENER, SMOOTHER = 0.5, 1.1, 0.8, 0.95
 # ... by so many standard deviations of such a scatter, too, as few slabs or courses tell it.
 CLEARLY_SIGMAS = 2.0
@@ -148,7 +149,7 @@ def check_camera(
                 motion.scatter.aside < _clearly_evener(fit, both.scatter)
                 and both.scatter.aside * px > EVEN_PX
             )
-            met = freed.missed < FEWER * fit.missed
+            met = fit.missed > MISSED and freed.missed < FEWER * fit.missed
             rough, was = _roughness(freed), _roughness(fit)
             if (met and rough < ROUGHER * was) or (evener and rough < SMOOTHER * was):
                 chi_square, shift = _contradiction(given, freed, motion)
