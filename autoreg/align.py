@@ -13,10 +13,12 @@ from autoreg.answer.conclude import (
     fitted_joints,
     measure_residual,
     metric_scale,
+    unsure,
 )
 from autoreg.answer.full_resolution import REACH, Laid, measured_rows, measured_slabs
 from autoreg.answer.last_step import rested
-from autoreg.answer.refusals import focal_untold, leaning, maybe_wall
+from autoreg.answer.refusals import focal_implausible, focal_untold, leaning, maybe_wall
+from autoreg.answer.slab_shape import plausible_focal
 from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
@@ -209,6 +211,8 @@ def _concluded(
     if source == "photo" and told and check.focal_sigma_px > MOST_SLABS_FOCAL_SIGMA * check.focal_px:
         sigma = check.focal_sigma_px / check.focal_px
         raise focal_untold("slabs", fit.camera.fx, sigma, MOST_SLABS_FOCAL_SIGMA)
+    if source == "photo" and not plausible_focal(fit.camera, laid.fit.free):
+        raise focal_implausible(fit.camera)
     scale, scale_source = metric_scale(fit, slab, camera_height)
     frame = canonical_frame(fit, settled.presence, laid.crossing)
     pose = frame.pose(fit.cam_from_ground)
@@ -217,6 +221,7 @@ def _concluded(
     focal, focal_sigma = (check.focal_px, check.focal_sigma_px) if told else (None, None)
     if squared is not None:
         focal, focal_sigma = fit.camera.fx, fit.camera.fx * squared.sigma_log_focal
+    answer = Pose(Rigid(pose.R, scale * pose.t), units @ covariance @ units)
     return Alignment(
         width=fit.camera.width,
         height=fit.camera.height,
@@ -228,11 +233,12 @@ def _concluded(
             focal,
             focal_sigma,
         ),
-        pose=Pose(Rigid(pose.R, scale * pose.t), units @ covariance @ units),
+        pose=answer,
         scale_source=scale_source,
         lattice=describe_lattice(fit, settled.presence, frame, scale),
         residual=measure_residual(fit),
         joints=fitted_joints(fit, frame),
+        warnings=unsure(answer, source, slab_told=slab is not None),
     )
 
 

@@ -34,6 +34,19 @@ class Pose:
     cam_from_ground: Rigid
     covariance: Float[np.ndarray, "6 6"]
 
+    @property
+    def sigma_turn(self) -> float:
+        """Standard deviation of a turn of the camera, in radians, about the axis that is known least."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[:3, :3])[-1]))
+
+    @property
+    def sigma_height(self) -> float:
+        """Standard deviation of the camera's height above the ground, in metres."""
+        up, t = self.cam_from_ground.R[:, 2], self.cam_from_ground.t
+        # The height is -up . t, and a small turn w moves up by w x up.
+        by_motion = -np.r_[np.cross(up, t), up]
+        return float(np.sqrt(by_motion @ self.covariance @ by_motion))
+
 
 @dataclass(frozen=True)
 class Residual:

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from paved import HALF_BOND, STACK, gray_of, symmetric_poses
 
+from autoreg.alignment import Pose
 from autoreg.answer.conclude import (
     Frame,
     canonical_frame,
@@ -16,16 +17,17 @@ from autoreg.answer.conclude import (
     lattice_kind,
     measure_residual,
     metric_scale,
-    with_slab_ratio,
+    unsure,
 )
+from autoreg.answer.slab_shape import with_slab_ratio
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
-from autoreg.geometry import Rigid
+from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.points import on_ground, project_ground
 from autoreg.ground.sides import ALONG_Y, Grid
 from autoreg.paving.presence import Presence, side_presence
-from autoreg.synthetic import SyntheticPhoto
+from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 
 def presence_of(photo: SyntheticPhoto, fit: Fit) -> Presence:
@@ -178,6 +180,22 @@ def test_the_scale_comes_from_what_is_given(stack_fit: Fit):
     scale, source = metric_scale(stack_fit, None, None)
     assert source == "none"
     assert scale * (0.6 + 0.4) / 2 == pytest.approx(1.0)
+
+
+def test_a_pose_is_as_sure_as_its_covariance_says_and_warns_where_that_is_too_little():
+    pose = look_at_ground(pitch_deg=35.0, height_m=1.6, heading_deg=20.0, roll_deg=3.0, foot_m=(0.2, 0.1))
+    rng = np.random.default_rng(0)
+    root = 1e-3 * rng.normal(size=(6, 6))
+    moves = rng.normal(size=(4000, 6)) @ root.T
+    heights = [Rigid(rotation_from_vector(m[:3]) @ pose.R, pose.t + m[3:]).origin_in_a[2] for m in moves]
+    sure = Pose(pose, root @ root.T)
+    assert sure.sigma_height == pytest.approx(np.std(heights), rel=0.05)
+    assert sure.sigma_turn == pytest.approx(np.linalg.norm(root[:3], 2))
+    assert unsure(sure, "photo", slab_told=False) == ()
+    less = Pose(pose, (0.06 / sure.sigma_turn) ** 2 * sure.covariance)
+    assert "± 3.4°" in unsure(less, "photo", slab_told=False)[0]
+    assert "--slab" not in unsure(less, "exif", slab_told=True)[0]
+    assert unsure(less, "file", slab_told=False) == ()
 
 
 def test_rows_are_scaled_by_a_square_and_refuse_a_slab_with_two_sides(stack_fit: Fit):

@@ -17,6 +17,7 @@ from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.image import as_gray
+from autoreg.slabs import uncertainty
 from autoreg.slabs.slab_model import estimate_motion
 from autoreg.slabs.uncertainty import Settled, check_camera, settle
 from autoreg.solve.freedom import Free
@@ -216,6 +217,26 @@ def test_a_shift_that_a_wrong_camera_explains_is_no_refuge_for_it(moved: float) 
     fit = bond_fitted(0.5, 0.95)
     fit = replace(fit, grid=replace(fit.grid, shift=moved))
     assert not check_camera(fit, bonded(0.5)).consistent
+
+
+def test_a_camera_that_misses_a_handful_of_joints_fewer_is_no_word_against_the_given_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    gray = picture(0.002, 0)
+    right, other = fitted(0.002, 0), fitted(0.002, 0, 1.08)
+
+    def missing(fit: Fit, count: int) -> Fit:
+        """As the right fit lies, but for some joints that are seen far off their lines."""
+        distances = np.clip(right.distances_px, -1.0, 1.0)
+        distances[:count] = 100.0
+        rows = {"stations": right.stations, "profiles": right.profiles, "offsets": right.offsets}
+        rows |= {"usable": np.ones(len(distances), bool), "sigma_px": right.sigma_px}
+        rows |= {"solution": right.solution, "rimmed": right.rimmed}
+        return replace(fit, distances_px=distances, **rows)
+
+    monkeypatch.setattr(uncertainty, "_fits_with_free_camera", lambda *asked: [missing(other, 2)])
+    assert check_camera(missing(right, 6), gray).consistent
+    assert not check_camera(missing(right, len(right.distances_px) // 4), gray).consistent
 
 
 def test_a_shift_that_slabs_are_really_laid_by_is_no_contradiction() -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.alignment import JointFit, Residual
+from autoreg.alignment import JointFit, Pose, Residual
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
@@ -17,8 +17,11 @@ from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.numbering import numbered
-from autoreg.paving.lattice_choice import has_ratio
 from autoreg.paving.presence import Presence
+
+# A standard deviation of the camera's turn, in degrees, from which on things on the ground are seen to lean. The
+# unknown principal point of a camera without a file is good for 1.5.
+UNSURE_DEG = 2.0
 
 
 @dataclass(frozen=True)
@@ -180,28 +183,14 @@ def metric_scale(
     return (1.0 / b if a is None else 2.0 / (a + b)), "none"
 
 
-def slab_mismatch(fit: Fit, slab: tuple[float, float]) -> Refusal | None:
-    """The refusal of a slab whose sides cannot be those of the photo's lattice; None if they may be."""
-    a, b = fit.grid.spacing_x, fit.grid.spacing_y
-    if a is None or has_ratio(fit.grid, slab):
-        return None
-    seen, told = max(a, b) / min(a, b), max(slab) / min(slab)
-    return Refusal(
-        "slab_mismatch",
-        f"the slabs in this photo have sides in the ratio {seen:.3f}, those given with --slab {told:.3f}; "
-        "measure a slab from joint to joint, or check that the camera belongs to this photo",
-        measured=round(float(seen), 4),
-        limit=round(float(told), 4),
+def unsure(pose: Pose, source: Literal["file", "exif", "photo"], *, slab_told: bool) -> tuple[str, ...]:
+    """The warning of a pose that a camera from the photo leaves too unsure for things on the ground."""
+    turn_deg = float(np.rad2deg(pose.sigma_turn))
+    if source == "file" or turn_deg < UNSURE_DEG:
+        return ()
+    by_slab = "" if slab_told else ", or the slab's sides with --slab"
+    return (
+        f"no camera file was given, and how the camera is turned is known to ± {turn_deg:.1f}° only (one "
+        "standard deviation): the lines lie on the joints, but what stands on the ground may lean, or look "
+        f"too tall or too low; give the camera with --camera{by_slab}",
     )
-
-
-def with_slab_ratio(fit: Fit, slab: tuple[float, float]) -> Fit:
-    """The fit with its lattice's side ratio replaced by the slab's, at the same area."""
-    a, b = fit.grid.spacing_x, fit.grid.spacing_y
-    if a is None:
-        return fit
-    short, long = sorted(slab)
-    ratio = long / short if a > b else short / long
-    mean = float(np.sqrt(a * b))
-    root = float(np.sqrt(ratio))
-    return replace(fit, grid=replace(fit.grid, spacing_x=mean * root, spacing_y=mean / root))

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from autoreg.answer.conclude import slab_mismatch, with_slab_ratio
 from autoreg.answer.last_step import likeliest
 from autoreg.answer.refusals import arcs, fanned, focal_untold, maybe_wall, no_lattice
 from autoreg.answer.right_angles import Squared, square_up
+from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal
 from autoreg.fitting.bare_steps import from_near_rims
 from autoreg.fitting.fit import Fit
@@ -84,9 +84,7 @@ def measured_slabs(
     Raises:
         Refusal: it cannot be of such slabs, its joints are arcs, or it vanishes at full resolution.
     """
-    if slab is not None and (mismatch := slab_mismatch(found.fit, slab)) is not None:
-        raise mismatch
-    start = found if slab is None else replace(found, fit=with_slab_ratio(found.fit, slab))
+    start = found if slab is None else of_slab_shape(small, found, slab, free)
     fit = from_what_shows(_measure(picture, start, free))
     bowed = _bowed(fit)
     if bowed is not None:

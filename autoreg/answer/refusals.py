@@ -160,6 +160,19 @@ def focal_untold(
     )
 
 
+def focal_implausible(camera: Camera) -> Refusal:
+    """The refusal of joints that tell a focal length as hardly any camera has."""
+    long_side = max(camera.width, camera.height)
+    times = camera.fx / long_side
+    return Refusal(
+        "ambiguous",
+        f"the photo names no camera, and its joints ask for a focal length of {camera.fx:.0f} px, "
+        f"{times:.2g} times its long side, as hardly any camera has; the photo may have been cut from a "
+        "larger one, or its joints be bent; give the camera with --camera",
+        measured=round(times, 3),
+    )
+
+
 def leaning(lean: Lean | None, camera: Camera, source: Literal["file", "exif", "photo"]) -> Refusal | None:
     """The refusal of joints that are not at right angles to each other; None if they may be."""
     degrees = None if lean is None else _clear_deg(lean.angle, lean.sigma, MOST_LEAN_DEG)

@@ -7,6 +7,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 if TYPE_CHECKING:
     from autoreg.alignment import Alignment
     from autoreg.jobs.job import Listener, Outcome
@@ -72,9 +74,11 @@ def _summary(alignment: Alignment) -> str:
     known = alignment.scale_source != "none"
     unit = " m" if known else " slab sides"
     sides = [f"{side:.4g}" for side in (lattice.spacing_x, lattice.spacing_y) if side is not None]
-    height = float(alignment.pose.cam_from_ground.origin_in_a[2])
+    pose = alignment.pose
+    height, turn_deg = float(pose.cam_from_ground.origin_in_a[2]), float(np.rad2deg(pose.sigma_turn))
     return (
-        f"aligned: {lattice.kind} of {' x '.join(sides)}{unit}, camera {height:.4g}{unit} above the ground, "
+        f"aligned: {lattice.kind} of {' x '.join(sides)}{unit}, camera {height:.4g} ± {pose.sigma_height:.1g}"
+        f"{unit} above the ground and turned to ± {turn_deg:.1g}°, "
         f"{residual.joints} joints at {residual.rms_px:.2f} px rms"
     )
 

@@ -57,6 +57,12 @@ class Fit:
         off, family = self.weight < LEAST_WEIGHT, self.stations.family
         return max(float(off[family == k].mean()) for k in np.unique(family))
 
+    @property
+    def roughness_px(self) -> float:
+        """Median distance of the stations from their lines, in the family with the greater one."""
+        used = [self.usable & (self.stations.family == k) for k in np.unique(self.stations.family)]
+        return max(float(np.median(np.abs(self.distances_px[rows]))) for rows in used if rows.any())
+
     def measured_at(
         self,
         rows: Int[np.ndarray, " k"],

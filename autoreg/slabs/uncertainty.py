@@ -150,7 +150,7 @@ def check_camera(
                 and both.scatter.aside * px > EVEN_PX
             )
             met = fit.missed > MISSED and freed.missed < FEWER * fit.missed
-            rough, was = _roughness(freed), _roughness(fit)
+            rough, was = freed.roughness_px, fit.roughness_px
             if (met and rough < ROUGHER * was) or (evener and rough < SMOOTHER * was):
                 chi_square, shift = _contradiction(given, freed, motion)
                 fit, both = freed, motion
@@ -172,12 +172,6 @@ def _clearly_evener(fit: Fit, scatter: Scatter) -> float:
     told = len(numbered(fit.stations.family[fit.usable], shared[fit.usable])[1])
     # The standard deviation of a standard deviation that n values tell, as a share of it.
     return min(EVENER, 1.0 - CLEARLY_SIGMAS / float(np.sqrt(2.0 * told))) * scatter.aside
-
-
-def _roughness(fit: Fit) -> float:
-    """Median distance of the stations from their lines, in pixels, in the family with the greater one."""
-    used = [fit.usable & (fit.stations.family == family) for family in np.unique(fit.stations.family)]
-    return max(float(np.median(np.abs(fit.distances_px[rows]))) for rows in used if rows.any())
 
 
 def _focal_alone(both: Estimate, known: Free, centre: Float[np.ndarray, "2"]) -> tuple[float, float]:

@@ -1,0 +1,135 @@
+"""The ratio of a known slab's sides: a lattice has it, contradicts it, or is told its focal length by it.
+
+Joints that hardly run together leave a focal length open, and with it how deep the slabs are: a photo taken
+squarely to them shows the same picture of long slabs through a long lens and of short ones through a short
+lens. Who knows the slab need not guess.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.camera import Camera
+from autoreg.errors import Refusal
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import NARROW, refine
+from autoreg.geometry import Rigid, nearest_rotation
+from autoreg.paving.lattice_choice import Paving, has_ratio, presented
+from autoreg.paving.lay import FIELD_REACH
+from autoreg.solve.freedom import Free
+
+# A focal length is none that is off by more standard deviations of what is known of it beforehand, nor one
+# that leaves the joints so much farther from their lines than the one they told: so many times as far, or by
+# so many pixels. The right slab leaves them 0.7 to 1.06 times as far, one that is wrong by a fifth 1.9$
+# times or more where the camera is turned by two degrees to it.
+MOST_SIGMAS, ROUGHER, ROUGHER_PX = 2.5, 1.3, 0.02
+
+
+def of_slab_shape(
+    small: Float[np.ndarray, "h w"], found: Paving, slab: tuple[float, float], free: Free
+) -> Paving:
+    """The lattice with the ratio of a slab's sides, seen with another focal length where that is open.
+
+    Args:
+        small: the photo at detection scale, where the lattice was found.
+        found: the lattice.
+        slab: sides of a slab in either order.
+        free: what is known of the camera beforehand.
+
+    Raises:
+        Refusal: the slab's sides cannot be those of the lattice.
+    """
+    if has_ratio(found.fit.grid, slab):
+        return replace(found, fit=with_slab_ratio(found.fit, slab))
+    otherwise = _by_another_focal(small, found, slab, free) if free.focal else None
+    if otherwise is None:
+        raise slab_mismatch(found.fit, slab, camera_told=not free.focal)
+    return otherwise
+
+
+def slab_mismatch(fit: Fit, slab: tuple[float, float], *, camera_told: bool) -> Refusal:
+    """The refusal of a slab whose sides cannot be those of the photo's lattice."""
+    check = "check that the camera belongs to this photo" if camera_told else "give the camera with --camera"
+    a, b = fit.grid.spacing_x, fit.grid.spacing_y
+    assert a is not None
+    seen, told = max(a, b) / min(a, b), max(slab) / min(slab)
+    return Refusal(
+        "slab_mismatch",
+        f"the slabs in this photo have sides in the ratio {seen:.3f}, those given with --slab {told:.3f}; "
+        f"measure a slab from joint to joint, or {check}",
+        measured=round(float(seen), 4),
+        limit=round(float(told), 4),
+    )
+
+
+def with_slab_ratio(fit: Fit, slab: tuple[float, float]) -> Fit:
+    """The fit with its lattice's side ratio replaced by the slab's, at the same area."""
+    a, b = fit.grid.spacing_x, fit.grid.spacing_y
+    if a is None:
+        return fit
+    short, long = sorted(slab)
+    ratio = long / short if a > b else short / long
+    mean = float(np.sqrt(a * b))
+    root = float(np.sqrt(ratio))
+    return replace(fit, grid=replace(fit.grid, spacing_x=mean * root, spacing_y=mean / root))
+
+
+def _by_another_focal(
+    small: Float[np.ndarray, "h w"], found: Paving, slab: tuple[float, float], free: Free
+) -> Paving | None:
+    """The lattice as slabs of this shape are seen, with the focal length that takes; None if they are not."""
+    fit = found.fit
+    told = with_slab_ratio(fit, slab)
+    assert fit.grid.spacing_x is not None
+    assert told.grid.spacing_x is not None
+    longer = np.array([told.grid.spacing_x / fit.grid.spacing_x, told.grid.spacing_y / fit.grid.spacing_y])
+    start = seen_alike(fit.camera, fit.cam_from_ground, longer)
+    if start is None or not plausible_focal(start[0], free):
+        return None
+    width = (fit.strip.width[0] * float(longer[1]), fit.strip.width[1] * float(longer[0]))
+    again = refine(
+        small, *start, told.grid,
+        free=replace(fit.free, ratio=False), search=NARROW, reaches=(FIELD_REACH,) * 2,
+        strip=replace(fit.strip, width=width), field=found.presence.field * longer,
+    )  # fmt: skip
+    if again is None or not plausible_focal(again.camera, free):
+        return None
+    if again.roughness_px > max(ROUGHER * fit.roughness_px, fit.roughness_px + ROUGHER_PX):
+        return None
+    seen = presented(small, again)
+    return None if seen is None or seen.margin_nats < 0 else seen
+
+
+def seen_alike(
+    camera: Camera, cam_from_ground: Rigid, longer: Float[np.ndarray, "2"]
+) -> tuple[Camera, Rigid] | None:
+    """Camera and pose that see a ground, longer along X and Y by two factors, as these see the ground itself.
+
+    As nearly as a focal length allows, the principal point being what it is: by the homography H from the
+    ground to the picture, whose columns h1 and h2 must be as long as each other once it is undone. None if no
+    focal length does that.
+    """
+    lengths = longer**2
+    rx, ry = cam_from_ground.R[2, :2] ** 2
+    numerator = ry / lengths[1] - rx / lengths[0]
+    denominator = (1.0 - rx) / lengths[0] - (1.0 - ry) / lengths[1]
+    if numerator * denominator <= 0.0:
+        return None
+    # The square of the old focal length over the new one.
+    factor = np.array([float(np.sqrt(numerator / denominator))] * 2 + [1.0])
+    columns = factor[:, None] * np.column_stack([cam_from_ground.R[:, :2] / longer, cam_from_ground.t])
+    H = columns / np.sqrt(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1]))
+    R = nearest_rotation(np.column_stack([H[:, :2], np.cross(H[:, 0], H[:, 1])]))
+    other = replace(camera, fx=camera.fx / factor[0], fy=camera.fy / factor[0])
+    return other, Rigid(R, H[:, 2])
+
+
+def plausible_focal(camera: Camera, free: Free) -> bool:
+    """Whether a focal length may be that of a camera of which something is known."""
+    if free.nominal is None:
+        return True
+    nominal = free.nominal.fx * camera.width / free.nominal.width
+    return bool(abs(np.log(camera.fx / nominal)) < MOST_SIGMAS * free.focal_sigma)
