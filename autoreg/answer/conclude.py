@@ -19,8 +19,8 @@ from autoreg.lattice import Lattice, LatticeKind
 from autoreg.numbering import numbered
 from autoreg.paving.presence import Presence
 
-# A standard deviation of the camera's turn, in degrees, from which on things on the ground are seen to lean. The
-# unknown principal point of a camera without a file is good for 1.5.
+# A standard deviation of the camera's turn, in degrees, from which on things on the ground are seen to lean;
+# the unknown principal point of a camera without a file is good for 1.5.
 UNSURE_DEG = 2.0
 
 
