@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 if TYPE_CHECKING:
     from autoreg.alignment import Alignment
@@ -75,7 +74,7 @@ def _summary(alignment: Alignment) -> str:
     unit = " m" if known else " slab sides"
     sides = [f"{side:.4g}" for side in (lattice.spacing_x, lattice.spacing_y) if side is not None]
     pose = alignment.pose
-    height, turn_deg = float(pose.cam_from_ground.origin_in_a[2]), float(np.rad2deg(pose.sigma_turn))
+    height, turn_deg = float(pose.cam_from_ground.origin_in_a[2]), math.degrees(pose.sigma_turn)
     return (
         f"aligned: {lattice.kind} of {' x '.join(sides)}{unit}, camera {height:.4g} ± {pose.sigma_height:.1g}"
         f"{unit} above the ground and turned to ± {turn_deg:.1g}°, "

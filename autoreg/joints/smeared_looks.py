@@ -19,6 +19,8 @@ NARROWEST_PX, OWN_PARTS = np.r_[0.0, np.geomspace(3.0, 18.0, 5)], np.array([0.35
 # The mean log variance must be lower by so much: sharp joints of right lattices lower it by up to 0.06,
 # smears of 4 pixels by 0 to 0.6, and those of 6 to 12 by 0.4 to 2.
 SEARCH_PX, MOST_OF_ROOM, CLEARER = 6.0, 1.6, 0.25
+# Narrower ones, in blurs, are of pictures out of focus.
+LEAST_BLURS = 3.0
 # Stations of either family that tell it.
 SAMPLE = 24
 
@@ -38,7 +40,8 @@ def smear_px(
             continue
         rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)]
         parts_px = OWN_PARTS[:, None, None] * strip.width[family] * profiles.px_per_unit[rows]
-        tried = np.maximum(parts_px, NARROWEST_PX[:, None]).reshape(-1, len(rows))
+        narrowest_px = NARROWEST_PX[(NARROWEST_PX == 0.0) | (LEAST_BLURS * strip.blur_px < NARROWEST_PX)]
+        tried = np.maximum(parts_px, narrowest_px[:, None]).reshape(-1, len(rows))
         # Slabs are to be seen on either side.
         tried = np.minimum(tried, MOST_OF_ROOM * profiles.room_px[rows])
         # Where the joints lie is asked of all widths at once.
@@ -49,5 +52,5 @@ def smear_px(
         misfits = strip_misfits(profiles, rows, placed.reshape(tried.shape), tried, blurs)
         least = np.reshape(misfits, (len(OWN_PARTS), -1)).min(0)
         if least.min() < least[0] - CLEARER:
-            found[family] = float(NARROWEST_PX[least.argmin()])
+            found[family] = float(narrowest_px[least.argmin()])
     return found[0], found[1]
