@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
-from autoreg.alignment import Alignment, CameraReport, JointFit, Pose, Residual
+from autoreg.alignment import Alignment, CameraReport, CameraSource, JointFit, Pose, Residual
 from autoreg.answer.conclude import (
     canonical_frame,
     describe_lattice,
@@ -35,8 +33,6 @@ from autoreg.solve.freedom import Free
 from autoreg.solve.solver import warm_up
 
 __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align", "warm_up"]
-
-Source = Literal["file", "exif", "photo"]
 
 # What else is known of an uncalibrated camera: logarithm of its focal length with and without EXIF (the
 # latter about one picture width), the principal point as a share of the long side, and the logarithm of what
@@ -94,7 +90,7 @@ def align_seen(
     picture = sight.gray.astype(np.float32)
     height, width = picture.shape
     _check_arguments(camera, width, height, slab, camera_height)
-    source: Source = "file" if camera is not None else "photo"
+    source: CameraSource = "file" if camera is not None else "photo"
     if camera is None and exif_focal_px is not None:
         camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
     try:
@@ -110,7 +106,7 @@ def _laid(
     sight: Sight,
     picture: np.ndarray,
     camera: Camera | None,
-    source: Source,
+    source: CameraSource,
     slab: tuple[float, float] | None,
 ) -> Laid:
     """The paving, measured at the photo's own resolution.
@@ -171,7 +167,7 @@ def _measured(
     found: Paving | Rows,
     free: Free,
     given: Camera | None,
-    source: Source,
+    source: CameraSource,
     slab: tuple[float, float] | None,
 ) -> Laid:
     """What was found, measured at the photo's own resolution, if it may be what it looks like.
@@ -196,7 +192,7 @@ def _other_camera(sight: Sight, given: Camera | None) -> Refusal | None:
 def _concluded(
     picture: np.ndarray,
     laid: Laid,
-    source: Source,
+    source: CameraSource,
     slab: tuple[float, float] | None,
     camera_height: float | None,
 ) -> Alignment:
@@ -243,7 +239,7 @@ def _concluded(
 
 
 def _freedom(
-    camera: Camera | None, source: Source, slab: tuple[float, float] | None, width: int, height: int
+    camera: Camera | None, source: CameraSource, slab: tuple[float, float] | None, width: int, height: int
 ) -> Free:
     """What is solved for: with a camera file the pose alone, else the camera too, within what is known.
 

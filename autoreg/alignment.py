@@ -12,13 +12,16 @@ from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
 
+# Where a camera came from.
+CameraSource = Literal["file", "exif", "photo"]
+
 
 @dataclass(frozen=True)
 class CameraReport:
     """The camera that was used, where it came from, and what the photo's own joints say of it."""
 
     camera: Camera
-    source: Literal["file", "exif", "photo"]
+    source: CameraSource
     consistent: bool | None
     focal_from_photo_px: float | None
     focal_from_photo_sigma_px: float | None

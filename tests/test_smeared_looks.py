@@ -30,10 +30,8 @@ def photo() -> SyntheticPhoto:
 
 def laid(picture: np.ndarray, photo: SyntheticPhoto, blur_px: float = 1.3) -> Fit:
     """The fit of a picture that the photo has become, from what detection at a smaller scale would know."""
-    start, strip = (
-        nudged(photo.cam_from_ground, 0.2, 0.006, 1),
-        Strip((0.008, 0.008), blur_px, (-1, -1), True),
-    )
+    start = nudged(photo.cam_from_ground, 0.2, 0.006, 1)
+    strip = Strip((0.008, 0.008), blur_px, (-1, -1), True)
     fit = refine.refine_until_still(
         picture, photo.camera, start, true_grid(photo), free=POSE_ALONE, search=0.04, reach=9.0, strip=strip
     )

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.alignment import JointFit, Pose, Residual
+from autoreg.alignment import CameraSource, JointFit, Pose, Residual
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
@@ -183,7 +183,7 @@ def metric_scale(
     return (1.0 / b if a is None else 2.0 / (a + b)), "none"
 
 
-def unsure(pose: Pose, source: Literal["file", "exif", "photo"], *, slab_told: bool) -> tuple[str, ...]:
+def unsure(pose: Pose, source: CameraSource, *, slab_told: bool) -> tuple[str, ...]:
     """The warning of a pose that a camera from the photo leaves too unsure for things on the ground."""
     turn_deg = float(np.rad2deg(pose.sigma_turn))
     if source == "file" or turn_deg < UNSURE_DEG:

@@ -46,7 +46,7 @@ def likeliest(picture: Float[np.ndarray, "h w"], fit: Fit) -> Settled:
 
 def _sharp(picture: Float[np.ndarray, "h w"], fit: Fit) -> bool:
     """Whether joints are as wide as they look: a smear would be taken for relief."""
-    return not any(fit.strip.smear_px) and not smeared(picture, fit.profiles.centre_px[fit.usable])
+    return not fit.strip.smeared and not smeared(picture, fit.profiles.centre_px[fit.usable])
 
 
 def rested(
@@ -63,9 +63,9 @@ def rested(
     fit = settled.fit
     if fit.grid.spacing_x is None:
         return settled
-    # The grey levels are held against flat joints, and sunk ones look much like these at another pose; nor do
-    # these know of a smear.
-    if settled.narrowing > SUNK or any(fit.strip.smear_px):
+    # The grey levels are held against flat joints in a still picture, and sunk ones look much like these at
+    # another pose.
+    if settled.narrowing > SUNK or fit.strip.smeared:
         return settled
     if settled.scatter.aside * float(np.median(fit.profiles.px_per_unit[fit.usable])) > UNEVEN_PX:
         return settled

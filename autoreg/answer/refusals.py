@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.alignment import CameraSource
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
@@ -173,7 +174,7 @@ def focal_implausible(camera: Camera) -> Refusal:
     )
 
 
-def leaning(lean: Lean | None, camera: Camera, source: Literal["file", "exif", "photo"]) -> Refusal | None:
+def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal | None:
     """The refusal of joints that are not at right angles to each other; None if they may be."""
     degrees = None if lean is None else _clear_deg(lean.angle, lean.sigma, MOST_LEAN_DEG)
     if degrees is None:

@@ -23,7 +23,7 @@ from autoreg.solve.freedom import Free
 
 # A focal length is none that is off by more standard deviations of what is known of it beforehand, nor one
 # that leaves the joints so much farther from their lines than the one they told: so many times as far, or by
-# so many pixels. The right slab leaves them 0.7 to 1.06 times as far, one that is wrong by a fifth 1.9$
+# so many pixels. The right slab leaves them 0.7 to 1.06 times as far, one that is wrong by a fifth 1.9
 # times or more where the camera is turned by two degrees to it.
 MOST_SIGMAS, ROUGHER, ROUGHER_PX = 2.5, 1.3, 0.02
 
@@ -118,12 +118,13 @@ def seen_alike(
     denominator = (1.0 - rx) / lengths[0] - (1.0 - ry) / lengths[1]
     if numerator * denominator <= 0.0:
         return None
-    # The square of the old focal length over the new one.
-    factor = np.array([float(np.sqrt(numerator / denominator))] * 2 + [1.0])
+    # The old focal length over the new one.
+    shorter = float(np.sqrt(numerator / denominator))
+    factor = np.array([shorter, shorter, 1.0])
     columns = factor[:, None] * np.column_stack([cam_from_ground.R[:, :2] / longer, cam_from_ground.t])
     H = columns / np.sqrt(np.linalg.norm(columns[:, 0]) * np.linalg.norm(columns[:, 1]))
     R = nearest_rotation(np.column_stack([H[:, :2], np.cross(H[:, 0], H[:, 1])]))
-    other = replace(camera, fx=camera.fx / factor[0], fy=camera.fy / factor[0])
+    other = replace(camera, fx=camera.fx / shorter, fy=camera.fy / shorter)
     return other, Rigid(R, H[:, 2])
 
 

@@ -123,10 +123,9 @@ def refine_until_still(
             return None
         settled = strip is not None and fit.strip.like(strip)
         camera, cam_from_ground, grid, strip = fit.camera, fit.cam_from_ground, fit.grid, fit.strip
-        if search and not any(strip.smear_px):
-            smear = smear_px(fit.profiles, fit.stations, strip, fit.usable)
-            if any(smear):
-                strip = replace(strip, smear_px=smear)
+        if search and not strip.smeared:
+            strip = replace(strip, smear_px=smear_px(fit.profiles, fit.stations, strip, fit.usable))
+            if strip.smeared:
                 continue
         enough_px = max(still_px, STILL_SHARE * float(np.median(np.abs(fit.distances_px[fit.usable]))))
         if not search and settled and TO_COME * _motion_px(fit, *before) < enough_px:

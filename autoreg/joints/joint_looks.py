@@ -62,6 +62,11 @@ class Strip:
         mine, theirs = ((*strip.width, strip.blur_px, *strip.smear_px) for strip in (self, other))
         return bool(np.allclose(mine, theirs, rtol=SETTLED))
 
+    @property
+    def smeared(self) -> bool:
+        """Whether the joints of either family are."""
+        return any(self.smear_px)
+
     def least_px(self, stations: Stations) -> Float[np.ndarray, " n"]:
         """Width in pixels that no station's joint looks narrower than."""
         return np.where(stations.family == ALONG_X, *self.smear_px)
@@ -125,7 +130,7 @@ def first_look(
     narrow strip explains one edge of a wide joint as well as a wide one explains both. A sample tells which
     guess is right.
     """
-    rows = np.sort(np.concatenate([_sample(stations.family == family) for family in (ALONG_X, ALONG_Y)]))
+    rows = np.sort(np.concatenate([sample(stations.family == family) for family in (ALONG_X, ALONG_Y)]))
     some, places, reach = profiles.take(rows), stations.take(rows), float(reach_px.max())
 
     def looked(
@@ -160,7 +165,7 @@ def joint_polarity(
     """
     signs: list[int] = []
     for family in (ALONG_X, ALONG_Y):
-        rows = _sample(stations.family == family)
+        rows = sample(stations.family == family)
         across = side[1] if family == ALONG_X else side[0]
         width_px = np.maximum(max(strip.width[family], 0.015 * across) * profiles.px_per_unit[rows], 1.0)
         looks = fit_offsets(profiles.take(rows), start[rows], width_px, strip.blur_px, iterations=3)
@@ -190,7 +195,7 @@ def estimate_strip(
     Near what is known of them, unless `thorough`.
     """
     width, smear, blur = list(strip.width), list(strip.smear_px), strip.blur_px
-    samples = [_sample(usable & (stations.family == family)) for family in (ALONG_X, ALONG_Y)]
+    samples = [sample(usable & (stations.family == family)) for family in (ALONG_X, ALONG_Y)]
     for family, rows in enumerate(samples):
         if len(rows) < 6:
             continue
@@ -230,10 +235,10 @@ def estimate_strip(
     )
 
 
-def _sample(mask: np.ndarray) -> np.ndarray:
-    """Index of some of the stations that a mask selects, spread evenly over them."""
+def sample(mask: Bool[np.ndarray, " n"], most: int = SAMPLE) -> Int[np.ndarray, " k"]:
+    """Index of at most so many of the stations that a mask selects, spread evenly over them."""
     rows = np.flatnonzero(mask)
-    return rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)] if len(rows) else rows
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)] if len(rows) else rows
 
 
 def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: float) -> float:

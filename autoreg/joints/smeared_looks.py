@@ -8,7 +8,7 @@ from jaxtyping import Bool
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.stations import Stations
 from autoreg.joints.edges import fit_offsets, search_offsets, strip_misfits
-from autoreg.joints.joint_looks import Strip
+from autoreg.joints.joint_looks import Strip, sample
 from autoreg.joints.profiles import Profiles
 from autoreg.joints.smear import FEWEST
 
@@ -35,10 +35,9 @@ def smear_px(
     """
     found = [0.0, 0.0]
     for family in (ALONG_X, ALONG_Y):
-        rows = np.flatnonzero(usable & (stations.family == family))
+        rows = sample(usable & (stations.family == family), SAMPLE)
         if strip.polarity[family] == 0 or len(rows) < FEWEST:
             continue
-        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLE)).astype(int)]
         parts_px = OWN_PARTS[:, None, None] * strip.width[family] * profiles.px_per_unit[rows]
         narrowest_px = NARROWEST_PX[(NARROWEST_PX == 0.0) | (LEAST_BLURS * strip.blur_px < NARROWEST_PX)]
         tried = np.maximum(parts_px, narrowest_px[:, None]).reshape(-1, len(rows))
@@ -50,7 +49,7 @@ def smear_px(
         placed = fit_offsets(every, start, width_px, strip.blur_px, iterations=1).offset_px
         blurs = np.full(len(tried), strip.blur_px)
         misfits = strip_misfits(profiles, rows, placed.reshape(tried.shape), tried, blurs)
-        least = np.reshape(misfits, (len(OWN_PARTS), -1)).min(0)
+        least = misfits.reshape(len(OWN_PARTS), -1).min(0)
         if least.min() < least[0] - CLEARER:
             found[family] = float(narrowest_px[least.argmin()])
     return found[0], found[1]

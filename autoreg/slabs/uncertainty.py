@@ -28,8 +28,8 @@ ANY_RADIAL = 0.5
 # family's joints is missed, the joints are measured again.
 DOUBT, UNEVEN, MISSED = 1.0, 0.01, 0.15
 # To be believed, a free camera must lower the share of missed joints to this, if it gave doubt, and may leave
-# them so much farther from their lines; or it must lower the slabs' scatter and the joints' distances
-# to these. Right cameras miss up to a tenth of the joints for other reasons.
+# them so much farther from their lines; or it must lower the slabs' scatter and the joints' distances to
+# these. Right cameras miss up to a tenth of the joints for other reasons.
 FEWER, ROUGHER, EVENER, SMOOTHER = 0.5, 1.1, 0.8, 0.95
 # ... by so many standard deviations of such a scatter, too, as few slabs or courses tell it.
 CLEARLY_SIGMAS = 2.0
