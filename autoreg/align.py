@@ -209,7 +209,7 @@ def _concluded(
         raise focal_untold("slabs", fit.camera.fx, sigma, MOST_SLABS_FOCAL_SIGMA)
     if source == "photo" and not plausible_focal(fit.camera, laid.fit.free):
         raise focal_implausible(fit.camera)
-    scale, scale_source = metric_scale(fit, slab, camera_height)
+    scale, scale_source = metric_scale(fit, slab, camera_height, laid.longer)
     frame = canonical_frame(fit, settled.presence, laid.crossing)
     pose = frame.pose(fit.cam_from_ground)
     units = np.diag([1.0, 1.0, 1.0, scale, scale, scale])

@@ -198,8 +198,12 @@ def test_a_pose_is_as_sure_as_its_covariance_says_and_warns_where_that_is_too_li
     assert unsure(less, "file", slab_told=False) == ()
 
 
-def test_rows_are_scaled_by_a_square_and_refuse_a_slab_with_two_sides(stack_fit: Fit):
+def test_rows_are_scaled_by_a_square_and_by_the_side_that_their_slabs_tell(stack_fit: Fit):
     rows = replace(stack_fit, grid=Grid(None, 0.4))
+    assert metric_scale(rows, (0.6, 0.4), None, longer=True) == (pytest.approx(1.0), "slab")
+    assert metric_scale(rows, (0.4, 0.6), None, longer=False) == (pytest.approx(1.5), "slab")
+    with pytest.raises(Refusal, match="width of a row"):
+        metric_scale(rows, (0.45, 0.4), None, longer=True)
     assert metric_scale(rows, (0.2, 0.2), None) == (pytest.approx(0.5), "slab")
     assert metric_scale(rows, None, None) == (pytest.approx(2.5), "none")
     with pytest.raises(Refusal, match="width of a row") as caught:

@@ -38,8 +38,8 @@ def blank() -> np.ndarray:
     return np.clip(rng.normal(SLAB, 4.0, (size, size)), 0, 255).astype(np.uint8)
 
 
-def ashlar(across_m: float) -> np.ndarray:
-    """Unbroken joints at an even spacing, slabs of random length between them."""
+def ashlar(across_m: float, lengths: tuple[float, float] = (0.7, 2.2)) -> np.ndarray:
+    """Unbroken joints at an even spacing, slabs of random length, in widths of a row, between them."""
     rng, picture = np.random.default_rng(1), blank()
     step, size = round(across_m * PX_PER_M), blank().shape[0]
     for y in range(0, size, step):
@@ -47,7 +47,7 @@ def ashlar(across_m: float) -> np.ndarray:
         x = 0
         while x < size:
             picture[y : y + step, x : x + 3] = JOINT
-            x += round(rng.uniform(0.7, 2.2) * step)
+            x += round(rng.uniform(*lengths) * step)
     return picture
 
 

@@ -22,6 +22,9 @@ from autoreg.paving.presence import Presence
 # A standard deviation of the camera's turn, in degrees, from which on things on the ground are seen to lean;
 # the unknown principal point of a camera without a file is good for 1.5.
 UNSURE_DEG = 2.0
+# Sides that differ by less than the first share are one; the lengths of a row's slabs tell which side is its
+# width where one side is longer by the second.
+SAME_SIDE, TOLD_SIDE = 0.01, 0.25
 
 
 @dataclass(frozen=True)
@@ -160,27 +163,43 @@ def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
 
 
 def metric_scale(
-    fit: Fit, slab: tuple[float, float] | None, camera_height: float | None
+    fit: Fit, slab: tuple[float, float] | None, camera_height: float | None, longer: bool | None = None
 ) -> tuple[float, Literal["slab", "camera_height", "none"]]:
-    """Metres per unit of the fit, and where it comes from."""
+    """Metres per unit of the fit, and where it comes from.
+
+    Args:
+        fit: its lattice has a unit of its own.
+        slab: the slab's sides in metres, in either order.
+        camera_height: the camera's height in metres, instead.
+        longer: of rows, whether their slabs are longer than a row is wide, if that is known.
+
+    Raises:
+        Refusal: either side of the slab may be the width of a row.
+    """
     a, b = fit.grid.spacing_x, fit.grid.spacing_y
     if slab is not None:
-        sides = sorted(slab)
         if a is None:
-            if abs(sides[1] / sides[0] - 1) > 0.01:
-                raise Refusal(
-                    "ambiguous",
-                    "only the unbroken joints repeat here, and either side of the "
-                    f"{slab[0]:g} x {slab[1]:g} m slab may be the width of a row; "
-                    "give the row's width as one number with --slab",
-                    measured=2.0,
-                    limit=1.0,
-                )
-            return sides[0] / b, "slab"
-        return float(np.sqrt(sides[0] * sides[1] / (a * b))), "slab"
+            return _row_width(slab, longer) / b, "slab"
+        return float(np.sqrt(slab[0] * slab[1] / (a * b))), "slab"
     if camera_height is not None:
         return camera_height / float(fit.cam_from_ground.origin_in_a[2]), "camera_height"
     return (1.0 / b if a is None else 2.0 / (a + b)), "none"
+
+
+def _row_width(slab: tuple[float, float], longer: bool | None) -> float:
+    """Which side of the slab is the width of a row, whose slabs are `longer` than that, or shorter."""
+    short, long = sorted(slab)
+    if long <= (1.0 + SAME_SIDE) * short:
+        return short
+    if longer is not None and long >= (1.0 + TOLD_SIDE) * short:
+        return short if longer else long
+    raise Refusal(
+        "ambiguous",
+        f"only the unbroken joints repeat here, and either side of the {slab[0]:g} x {slab[1]:g} m slab may "
+        "be the width of a row; give the row's width as one number with --slab",
+        measured=2.0,
+        limit=1.0,
+    )
 
 
 def unsure(pose: Pose, source: CameraSource, *, slab_told: bool) -> tuple[str, ...]:

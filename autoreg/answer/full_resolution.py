@@ -23,6 +23,7 @@ from autoreg.paving.presence import presence_of
 from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
+from autoreg.rows.slab_lengths import longer_than_wide, slab_lengths
 from autoreg.segments import Segments
 from autoreg.slabs.uncertainty import Settled
 from autoreg.solve.freedom import Free
@@ -43,7 +44,8 @@ class Laid:
     """Paving, measured at the photo's own resolution, and the presence of its sides at detection scale.
 
     `likeliest` is the fit at the pose that its joints' places make likeliest. Rows have a crossing to start
-    their frame from, and, without a camera, one at which they are square.
+    their frame from, without a camera one at which they are square, and `longer` says whether their slabs are
+    longer than a row is wide, if these tell.
     """
 
     fit: Fit
@@ -51,6 +53,7 @@ class Laid:
     likeliest: Settled
     crossing: np.ndarray | None = None
     squared: Squared | None = None
+    longer: bool | None = None
 
 
 def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *, square: bool) -> Laid:
@@ -73,7 +76,8 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
     small = sight.looks.picture
     settled = _settled_rows(small, _at_detection_scale(fit, small, found.paving), found)
     rests = likeliest(picture, fit) if squared is None else squared.settled
-    return Laid(fit, settled, rests, crossing, squared)
+    longer = longer_than_wide(slab_lengths(sight.segments, fit, settled.presence.field))
+    return Laid(fit, settled, rests, crossing, squared, longer)
 
 
 def measured_slabs(
