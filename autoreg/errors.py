@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class AutoregError(Exception):
     """Base of every failure that autoreg foresees; the message holds cause, measured value and next step."""
@@ -36,6 +38,10 @@ class Refusal(AutoregError):
         self.message = message
         self.measured = measured
         self.limit = limit
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By its message alone, as exceptions are pickled else, it could not be made again in another process.
+        return type(self), (self.code, self.message), self.__dict__
 
 
 class RenderError(AutoregError):

@@ -188,6 +188,15 @@ METRICS: tuple[Metric, ...] = (
         TIMES,
         gated="full",
     ),
+    Metric(
+        "speed.beside",
+        "... by one call of `run_jobs` in two processes",
+        "",
+        "higher",
+        3.0,
+        TIMES,
+        gated="full",
+    ),
     Metric("speed.align_s", "align in process, 2 MP", "s", gated="never"),
     # scenes
     Metric("scenes.right", "ray-traced pavings that are right", "%", "higher", 95.0, absolute=2.0),

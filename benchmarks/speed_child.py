@@ -3,6 +3,7 @@
 python -m benchmarks.speed_child floor PHOTO            decode and one LSD pass, cv2 and jax imported
 python -m benchmarks.speed_child align PHOTO CAMERA N   stages in process, N times
 python -m benchmarks.speed_child many FOLDER OUT        every photo of a folder, as the command does it
+python -m benchmarks.speed_child beside FOLDER OUT      the same by `run_jobs`, in two processes
 python -m benchmarks.speed_child solver CACHE           what the solver's compilation takes
 """
 
@@ -83,17 +84,31 @@ def _timed(call: Callable[..., Any], name: str, spent: dict[str, float]) -> Call
 
 
 def many(folder: str, out: str) -> dict[str, Any]:
-    """Seconds for every photo of a folder in this one process, two at a time."""
-    from autoreg.jobs.job import Job, Listener, run_job
+    """Every photo of a folder in this one process, two at a time."""
+    from autoreg.jobs.job import Listener, run_job
 
     listener = Listener(note=lambda text: None, doing=lambda text: None)
-    photos = sorted(Path(folder).glob("*.jpg"))
-    jobs = [Job(p, Path(out) / p.stem, Path(folder) / "camera.json", slab=SLAB_M) for p in photos]
-    began = time.perf_counter()
     with ThreadPoolExecutor(2) as pool:
-        outcomes = list(pool.map(lambda job: run_job(job, listener), jobs))
-    took = time.perf_counter() - began
-    return {"photos": len(photos), "seconds": took, "aligned": sum(o.alignment is not None for o in outcomes)}
+        outcomes = list(pool.map(lambda job: run_job(job, listener), _jobs(folder, out)))
+    return {"photos": len(outcomes), "aligned": sum(o.alignment is not None for o in outcomes)}
+
+
+def beside(folder: str, out: str) -> dict[str, Any]:
+    """The same, in two processes."""
+    from autoreg.jobs.many import run_jobs
+
+    outcomes = [run.outcome for run in run_jobs(_jobs(folder, out), processes=2)]
+    return {
+        "photos": len(outcomes),
+        "aligned": sum(o is not None and o.alignment is not None for o in outcomes),
+    }
+
+
+def _jobs(folder: str, out: str) -> list[Any]:
+    from autoreg.jobs.job import Job
+
+    photos = sorted(Path(folder).glob("*.jpg"))
+    return [Job(p, Path(out) / p.stem, Path(folder) / "camera.json", slab=SLAB_M) for p in photos]
 
 
 def solver(cache: str) -> dict[str, Any]:
@@ -112,6 +127,7 @@ def main() -> None:
         "floor": floor,
         "align": align,
         "many": many,
+        "beside": beside,
         "solver": solver,
     }
     print(json.dumps(programs[name](*words)))

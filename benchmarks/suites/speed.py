@@ -143,8 +143,8 @@ def run(options: Options) -> Result:
         f"The solver's step compiles in {compile_s:.2f} s, and comes from the cache in {fetch_s:.2f} s."
     )
     if not options.quick:
-        ratio, said = _many(options)
-        figures.append(Figure("speed.many", ratio))
+        ratios, said = _many(options)
+        figures += [Figure("speed.many", ratios[0]), Figure("speed.beside", ratios[1])]
         notes.append(said)
         tables.append(_growth(options))
     plots = (_plot(times),) if len(times) > 1 else ()
@@ -211,8 +211,11 @@ def _plot(times: list[Times]) -> Plot:
     return Plot("size", "Time by size of the photo", "megapixels", "seconds", series, log_x=True, log_y=True)
 
 
-def _many(options: Options) -> tuple[float, str]:
-    """How many times faster a photo is in one process than by a command of its own."""
+def _many(options: Options) -> tuple[tuple[float, float], str]:
+    """How many times faster a photo is among many than by a command of its own.
+
+    Among those of one process with two threads, and among those that `run_jobs` gives to two processes.
+    """
     folder = options.cache("speed-many")
     for seed in range(MANY):
         write_photo(scene_of(SIZES[0], seed=seed + 1), folder, f"photo-{seed:02}")
@@ -221,18 +224,22 @@ def _many(options: Options) -> tuple[float, str]:
         words = ["--camera", str(folder / "camera.json"), "--slab", str(SLAB_M[0]), "-o", f"{place}/one"]
         photos = sorted(folder.glob("*.jpg"))[:MANY_COMMANDS]
         commands = [["-m", "autoreg", "align", str(photo), *words] for photo in photos]
-        # The first run fills the cache of what was compiled, for one process as for the commands.
+        # The first run fills the cache of what was compiled, for all the others.
         run_timed(commands[0], own_cache)
-        together = run_timed([*CHILD, "many", str(folder), place], own_cache)
-        answer = together.answer()
+        ways = [
+            run_timed([*CHILD, way, str(folder), f"{place}/{way}"], own_cache) for way in ("many", "beside")
+        ]
         alone = [run_timed(command, own_cache).seconds for command in commands]
-    per_photo, per_command = together.seconds / answer["photos"], float(np.mean(alone))
+    answers = [way.answer() for way in ways]
+    threads, processes = (way.seconds / answer["photos"] for way, answer in zip(ways, answers, strict=True))
+    command = float(np.mean(alone))
+    by_threads, by_processes = (answer["aligned"] for answer in answers)
     said = (
-        f"{answer['photos']} photos in one process of two threads: {per_photo:.2f} s each "
-        f"({answer['aligned']} "
-        f"aligned); by commands one after the other {per_command:.2f} s each, from {len(alone)} of them."
+        f"{MANY} photos in one process of two threads: {threads:.2f} s each ({by_threads} aligned); by "
+        f"`run_jobs` in two processes {processes:.2f} s each ({by_processes} aligned); by commands one after "
+        f"the other {command:.2f} s each, from {len(alone)} of them."
     )
-    return per_command / per_photo, said
+    return (command / threads, command / processes), said
 
 
 def _growth(options: Options) -> Table:
