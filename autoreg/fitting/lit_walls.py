@@ -13,12 +13,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.fit import Fit
+from autoreg.fitting.full_width import width_from_above
+from autoreg.fitting.lights import lights
 from autoreg.joints.joint_looks import Strip
 from autoreg.joints.strips import INDEPENDENT, edge, single
 
@@ -80,9 +83,10 @@ class _Side:
 def beside_lit_walls(fit: Fit) -> Fit:
     """The fit with the middles of sunk joints measured by strips of three parts, where these are seen."""
     slope, width = across_slope(fit), _full_width(fit)
+    lit = lights(fit, np.arange(len(slope)))
     for family in np.unique(fit.stations.family):
-        for way in (-1.0, 1.0):
-            seen = fit.usable & (fit.stations.family == family) & (way * slope > LEAST_SLOPE)
+        for way, light in product((-1.0, 1.0), lit):
+            seen = fit.usable & light & (fit.stations.family == family) & (way * slope > LEAST_SLOPE)
             rows = np.flatnonzero(seen)
             if not len(rows):
                 continue
@@ -124,9 +128,12 @@ def _measured(
 
 
 def _full_width(fit: Fit) -> float:
-    """Width of the joints by the family that shows more of it: light walls are no joints among dark ones."""
+    """Width of the joints by the family that shows more of it: light walls are no joints among dark ones.
+
+    It may be that either family hides a part.
+    """
     dark = [w for w, sign in zip(fit.strip.width, fit.strip.polarity, strict=True) if sign < 0]
-    return max(dark or fit.strip.width)
+    return max(*(dark or fit.strip.width), width_from_above(fit) or 0.0)
 
 
 def _side_of(

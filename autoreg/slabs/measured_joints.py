@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from autoreg.fitting.fit import Fit
+from autoreg.fitting.full_width import width_from_above
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.joints.joint_looks import BLURS, DARK
 from autoreg.joints.smear import alike_in_px
@@ -95,6 +96,7 @@ def measured_joints(fit: Fit, rows: Int[np.ndarray, " n"], *, widths: bool = Tru
     claim[wide] = told.sigma_middle_px[both]
     px_per_unit = fit.profiles.px_per_unit[both]
     width = float(np.quantile(told.width_px[both] / px_per_unit, FULL_SHARE))
+    width = max(width, width_from_above(fit) or 0.0)
     narrower = width * px_per_unit - told.width_px[both]
     noise = _own_noise(claim, off, side[rows]), _own_noise(told.sigma_width_px[both], narrower, side[both])
     return MeasuredJoints(fit, rows, wide, width, np.r_[off, narrower], np.concatenate(noise))

@@ -5,11 +5,14 @@ These are the columns of the mixed model's random effects, in pixels, each for a
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_matrix
 
 from autoreg.fitting.bare_steps import across_slope, only_steps, without_joints
+from autoreg.fitting.lights import lights
 from autoreg.grey_levels.joint_image import SOON
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.stations import Stations
@@ -98,9 +101,10 @@ def _slope(joints: MeasuredJoints) -> Float[np.ndarray, " n"]:
 def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """Pixels by which the relief changes each measurement, for a shift of the far edge by about a width.
 
-    A wall's light is the same all over the photo, so that each of the four directions has one shift of the
-    far edge, which grows with the slope of the view until the bed is hidden. A shadow on the bed moves an
-    edge even from above: a far one more, since of the bed beside a near one little is seen.
+    A wall's light is the same all over what the sun reaches, and all over a shadow, so that each of the four
+    directions has one shift of the far edge in either, which grows with the slope of the view until the bed
+    is hidden. A shadow on the bed moves an edge even from above: a far one more, since of the bed beside a
+    near one little is seen.
     """
     slope, family = _slope(joints), joints.fit.stations.family[joints.rows]
     steep, facing = np.abs(slope), np.where(slope < 0, -1.0, 1.0)
@@ -112,8 +116,8 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     walls += [DARK_WALL * _hump(steep, peak, HIDDEN) for peak in HALF_HIDDEN]
     far, near = [], []
     for own in (ALONG_X, ALONG_Y):
-        for way in (-1.0, 1.0):
-            mine = full * (family == own) * (STEPS_RELIEF if own in steps else 1.0)
+        for way, light in product((-1.0, 1.0), lights(joints.fit, joints.rows)):
+            mine = full * (light & (family == own)) * (STEPS_RELIEF if own in steps else 1.0)
             there = facing == way
             far += [mine * there * shift for shift in (*walls, *fading)]
             # The edge on one side of a joint is the far one for some stations, the near one for others.
@@ -164,8 +168,8 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
     walls = _wall_shapes(np.abs(slope), full / fit.strip.blur_px)
     own: list[np.ndarray] = []
-    for each in (ALONG_X, ALONG_Y):
-        mine = full * (family == each)
+    for each, light in product((ALONG_X, ALONG_Y), lights(joints.fit, joints.rows)):
+        mine = full * (light & (family == each))
         unseen = LIGHT_TOGETHER if fit.strip.polarity[each] > 0 else TOGETHER
         together = np.where(rimmed, RIMMED_TOGETHER, STEPS_TOGETHER if each in steps else unseen)
         own.append(shapes * (together * mine)[:, None])

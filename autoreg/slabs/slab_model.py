@@ -89,6 +89,7 @@ def estimate_motion(
     *,
     bow: float = 0.0,
     widths: bool = True,
+    search: bool = True,
 ) -> Estimate:
     """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
 
@@ -97,17 +98,22 @@ def estimate_motion(
         mask: ones for the free parameters.
         prior: what is known of them, counted from the fit.
         near: the scatter of an earlier estimate of this photo, near which to search instead of everywhere.
+        search: whether to search at all; else the earlier scatter is taken as it is.
         bow: how far from a plane the ground may be bent, as a share of its extent (standard deviation).
         widths: whether the joints' widths have a say.
     """
     rows = np.flatnonzero(fit.usable)
-    some = _in_blocks(fit, rows)
-    model = SlabEquations(fit, mask, prior, bow, some, widths)
-    sizes, relief = _likeliest_sizes(model, near)
-    if len(some) < len(rows):
-        model = SlabEquations(fit, mask, prior, bow, rows, widths, courses=sizes[-1] > 0)
+    if near is not None and not search:
+        model = SlabEquations(fit, mask, prior, bow, rows, widths, courses=near.course > 0)
+        sizes, relief = _sizes_of(near, model.side), near.relief
     else:
-        model.begin_anew()
+        some = _in_blocks(fit, rows)
+        model = SlabEquations(fit, mask, prior, bow, some, widths)
+        sizes, relief = _likeliest_sizes(model, near)
+        if len(some) < len(rows):
+            model = SlabEquations(fit, mask, prior, bow, rows, widths, courses=sizes[-1] > 0)
+        else:
+            model.begin_anew()
     for _ in range(2):
         model.reweigh(sizes, relief)
     found = _likely(model, sizes)
@@ -152,6 +158,12 @@ def _likely(model: SlabEquations, sizes: Sizes) -> list[tuple[float, np.ndarray,
     return found
 
 
+def _sizes_of(scatter: Scatter, side: float) -> Sizes:
+    """The sizes that an earlier estimate found, for slabs of such a side."""
+    place = scatter.place
+    return place, scatter.lift / place, scatter.turn * side / place, scatter.course / place
+
+
 def _in_blocks(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
     """Some of the stations, in whole blocks of slabs spread over the ground: neighbours tell the scatter."""
     size = BLOCK_SLABS * np.array([fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y])
@@ -176,9 +188,7 @@ def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes,
         ground = 1.48 * float(np.median(off_px / joints.px_per_unit)) + 1e-12
         best, relief, searches = (ground, *FIRST), 0.5, WIDE_SEARCHES
     else:
-        lift, turn = near.lift / near.place, near.turn * model.side / near.place
-        course = near.course / near.place
-        best, relief, searches = (near.place, lift, turn, course), near.relief, NEAR_SEARCHES
+        best, relief, searches = _sizes_of(near, model.side), near.relief, NEAR_SEARCHES
     model.reweigh(best, relief)
     for search in searches:
         score, relief = max((value, r) for r, value in model.evidence(best).items())
