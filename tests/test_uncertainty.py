@@ -266,3 +266,39 @@ def test_a_lens_that_is_hardly_bent_is_no_contradiction() -> None:
     check = check_camera(fit, gray)
     assert check.consistent
     assert check.radial_shift == pytest.approx(-0.004, abs=0.003)
+
+
+def other_camera(fit: Fit, longer: float, rougher: float) -> Fit:
+    """The fit as if it had been made with a longer focal length, its joints so much farther off."""
+    camera = replace(fit.camera, fx=longer * fit.camera.fx, fy=longer * fit.camera.fy)
+    return replace(fit, camera=camera, distances_px=rougher * fit.distances_px)
+
+
+@pytest.mark.parametrize(("found", "consistent"), [((1.0, 1.25), True), ((1.25,), False)])
+def test_a_camera_is_not_to_blame_for_joints_that_one_like_it_finds_as_well(
+    stack_fit: Fit, monkeypatch: pytest.MonkeyPatch, found: tuple[float, ...], consistent: bool
+):
+    # Half of the joints are missed, and found when they are measured anew: too roughly for a better camera by
+    # the given one, just well enough by one that is wrong.
+    usable = stack_fit.usable & (np.arange(len(stack_fit.usable)) % 2 == 0)
+    rough = {1.0: 1.12, 1.25: 1.05}
+    fits = [other_camera(stack_fit, longer, rough[longer]) for longer in found]
+    monkeypatch.setattr("autoreg.slabs.uncertainty._fits_with_free_camera", lambda *_: iter(fits))
+    picture = np.zeros((stack_fit.camera.height, stack_fit.camera.width), np.float32)
+    check = check_camera(replace(stack_fit, usable=usable), picture)
+    assert check.consistent == consistent
+
+
+def test_so_few_lines_that_any_camera_suits_them_contradict_none(
+    stack_fit: Fit, monkeypatch: pytest.MonkeyPatch
+):
+    stations = stack_fit.stations
+    middle = [np.sort(np.unique(stations.line[stations.family == f]))[2:5] for f in (0, 1)]
+    three = np.isin(stations.line, middle[0]) & (stations.family == 0)
+    three |= np.isin(stations.line, middle[1]) & (stations.family == 1)
+    few = replace(stack_fit, usable=stack_fit.usable & three)
+    monkeypatch.setattr(
+        "autoreg.slabs.uncertainty._fits_with_free_camera", lambda *_: pytest.fail("asked for nothing")
+    )
+    picture = np.zeros((stack_fit.camera.height, stack_fit.camera.width), np.float32)
+    assert check_camera(few, picture).consistent

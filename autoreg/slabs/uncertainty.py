@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from jaxtyping import Float
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import FROM_THE_FEET, WIDE_SEARCH, refine, refine_until_still
 from autoreg.geometry import Rigid
+from autoreg.ground.sides import ALONG_Y
 from autoreg.numbering import numbered
 from autoreg.paving.bond import customary_shift
 from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
@@ -36,6 +38,8 @@ CALM = 0.25
 FEWER, ROUGHER, EVENER, SMOOTHER = 0.5, 1.1, 0.8, 0.95
 # ... by so many standard deviations of such a scatter, too, as few slabs or courses tell it.
 CLEARLY_SIGMAS = 2.0
+# Its lines must tell so many more numbers, two each, than a free camera has parameters, lest it suit any.
+SPARE_NUMBERS = 6
 # Slabs that scatter by less, in pixels, are even.
 EVEN_PX = 0.02
 
@@ -149,13 +153,14 @@ def check_camera(
     if picture is not None and scatter is not None and (odd or chi_square > CALM):
         both, chi_square, shift, odd = asked(search=True)
     doubted = odd or chi_square > DOUBT
-    if picture is not None and doubted:
-        before = both.scatter.aside
+    if picture is not None and doubted and _enough_lines(fit, free):
+        before, tried = both.scatter.aside, list[_Told]()
         usual = replace(fit, grid=replace(fit.grid, shift=customary))
         for freed in _fits_with_free_camera(usual, picture, field):
             motion = estimate_motion(
                 freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW, widths=False
             )
+            tried.append(_Told(freed, motion, *_contradiction(given, freed, motion)))
             # A free camera that neither makes the slabs evener nor meets more joints is no better one.
             px = float(np.median(fit.profiles.px_per_unit[fit.usable]))
             evener = (
@@ -165,17 +170,49 @@ def check_camera(
             met = fit.missed > MISSED and freed.missed < FEWER * fit.missed
             rough, was = freed.roughness_px, fit.roughness_px
             if (met and rough < ROUGHER * was) or (evener and rough < SMOOTHER * was):
-                chi_square, shift = _contradiction(given, freed, motion)
-                fit, both = freed, motion
+                fit, both, chi_square, shift = tried[-1]
             # A camera that is wrong is worth the time to find the right one.
             if both.scatter.aside < 0.5 * before and chi_square < CONTRADICTION:
                 break
+        if chi_square >= CONTRADICTION:
+            # What a camera like the given one does as well by joints that are measured anew is not its fault.
+            alike = [told for told in tried if _as_good(told, fit, both)]
+            fit, both, chi_square, shift = min(
+                alike, key=lambda told: told.chi_square, default=_Told(fit, both, chi_square, shift)
+            )
     centre = np.array([given.camera.cx - fit.camera.cx, given.camera.cy - fit.camera.cy])
     log_focal, sigma = _focal_alone(both, given.free, centre)
     focal = fit.camera.fx * float(np.exp(log_focal))
     consistent = chi_square < CONTRADICTION
     return CameraCheck(
         consistent, focal, focal * sigma, float(shift[0]), shift[1:3], float(shift[3]), chi_square
+    )
+
+
+def _enough_lines(fit: Fit, free: Free) -> bool:
+    """Whether a fit's joints are lines enough to try them with a camera that is free."""
+    stations = fit.stations.take(np.flatnonzero(fit.usable))
+    # The cross joints of a running bond are lines of their own, however short.
+    piece = np.where((stations.family == ALONG_Y) & (fit.grid.shift != 0), stations.cell, 0)
+    lines = len(numbered(stations.family, stations.line, piece)[1])
+    return 2 * lines >= int(free.mask.sum()) + SPARE_NUMBERS
+
+
+class _Told(NamedTuple):
+    """What joints that were measured anew tell of a free camera, and how far that is from the given one."""
+
+    fit: Fit
+    motion: Estimate
+    chi_square: float
+    shift: Float[np.ndarray, "4"]
+
+
+def _as_good(told: _Told, fit: Fit, motion: Estimate) -> bool:
+    """Whether a camera misses hardly more joints than another one's fit, which lie as near to their lines."""
+    return (
+        told.fit.missed < fit.missed + MISSED / 3.0
+        and told.fit.roughness_px < ROUGHER * fit.roughness_px
+        and told.motion.scatter.aside < ROUGHER * motion.scatter.aside
     )
 
 
