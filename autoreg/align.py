@@ -28,7 +28,7 @@ from autoreg.paving.lattice_choice import Paving
 from autoreg.rows.cross_joints import common_lean
 from autoreg.rows.rows import Rows
 from autoreg.search import RADIAL_SIGMA, find_paving, find_rows, other_camera
-from autoreg.slabs.uncertainty import check_camera
+from autoreg.slabs.camera_check import check_camera
 from autoreg.solve.freedom import Free
 from autoreg.solve.solver import warm_up
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import pickle
-from importlib import resources
 from pathlib import Path
 
 import cv2
@@ -12,8 +11,6 @@ from autoreg.errors import InputError, Refusal
 from autoreg.jobs.job import Job, demo_job
 from autoreg.jobs.many import run_jobs
 from autoreg.synthetic import SyntheticPhoto
-
-DATA = Path(str(resources.files("autoreg").joinpath("data")))
 
 
 def test_every_photo_ends_as_it_would_by_itself_and_in_order(tmp_path: Path, gravel_photo: SyntheticPhoto):

@@ -17,9 +17,10 @@ from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.image import as_gray
-from autoreg.slabs import uncertainty
+from autoreg.slabs import camera_check
+from autoreg.slabs.camera_check import check_camera
 from autoreg.slabs.slab_model import estimate_motion
-from autoreg.slabs.uncertainty import Settled, check_camera, settle
+from autoreg.slabs.uncertainty import Settled, settle
 from autoreg.solve.freedom import Free
 from autoreg.solve.joint_data import FOCAL, PARAMETERS
 from autoreg.solve.solver import Prior
@@ -234,7 +235,7 @@ def test_a_camera_that_misses_a_handful_of_joints_fewer_is_no_word_against_the_g
         rows |= {"solution": right.solution, "rimmed": right.rimmed}
         return replace(fit, distances_px=distances, **rows)
 
-    monkeypatch.setattr(uncertainty, "_fits_with_free_camera", lambda *asked: [missing(other, 2)])
+    monkeypatch.setattr(camera_check, "_fits_with_free_camera", lambda *asked: [missing(other, 2)])
     assert check_camera(missing(right, 6), gray).consistent
     assert not check_camera(missing(right, len(right.distances_px) // 4), gray).consistent
 
@@ -283,7 +284,7 @@ def test_a_camera_is_not_to_blame_for_joints_that_one_like_it_finds_as_well(
     usable = stack_fit.usable & (np.arange(len(stack_fit.usable)) % 2 == 0)
     rough = {1.0: 1.12, 1.25: 1.05}
     fits = [other_camera(stack_fit, longer, rough[longer]) for longer in found]
-    monkeypatch.setattr("autoreg.slabs.uncertainty._fits_with_free_camera", lambda *_: iter(fits))
+    monkeypatch.setattr("autoreg.slabs.camera_check._fits_with_free_camera", lambda *_: iter(fits))
     picture = np.zeros((stack_fit.camera.height, stack_fit.camera.width), np.float32)
     check = check_camera(replace(stack_fit, usable=usable), picture)
     assert check.consistent == consistent
@@ -298,7 +299,7 @@ def test_so_few_lines_that_any_camera_suits_them_contradict_none(
     three |= np.isin(stations.line, middle[1]) & (stations.family == 1)
     few = replace(stack_fit, usable=stack_fit.usable & three)
     monkeypatch.setattr(
-        "autoreg.slabs.uncertainty._fits_with_free_camera", lambda *_: pytest.fail("asked for nothing")
+        "autoreg.slabs.camera_check._fits_with_free_camera", lambda *_: pytest.fail("asked for nothing")
     )
     picture = np.zeros((stack_fit.camera.height, stack_fit.camera.width), np.float32)
     assert check_camera(few, picture).consistent

@@ -15,6 +15,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import quarter_turns
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
+from autoreg.ground.stations import joints_of
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.numbering import numbered
 from autoreg.paving.presence import Presence
@@ -135,23 +136,19 @@ def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
     """
     inlier = fit.usable & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
     grid = frame.grid(fit.grid)
-    family, line, cell = fit.stations.family[inlier], fit.stations.line[inlier], fit.stations.cell[inlier]
-    piece = np.where((family == ALONG_Y) & (fit.grid.shift != 0), cell, 0)
-    ground, off = fit.stations.ground[inlier], fit.distances_px[inlier]
-    half_length = fit.stations.half_length[inlier]
+    stations, off = fit.stations.take(inlier), fit.distances_px[inlier]
+    ground, half_length = stations.ground, stations.half_length
     turned = frame.quarter_turns % 2 == 1
     joints: list[JointFit] = []
-    inverse, first = numbered(family, line, piece)
-    keys = np.stack([family, line, piece], 1)[first]
-    for k in range(len(keys)):
+    inverse, first = joints_of(stations, fit.grid)
+    for k, axis in enumerate(stations.family[first]):
         rows = np.flatnonzero(inverse == k)
-        axis = keys[k, 0]
         along, half = ground[rows, axis], half_length[rows]
         low, high = int((along - half).argmin()), int((along + half).argmax())
         ends = ground[rows[[low, high]]]
         ends[:, axis] += -half[low], half[high]
         x, y = frame.points(ends.mean(0))
-        name: Literal["x", "y"] = "x" if (keys[k, 0] == ALONG_X) != turned else "y"
+        name: Literal["x", "y"] = "x" if (axis == ALONG_X) != turned else "y"
         if name == "x":
             index = round(float(y / grid.spacing_y))
         else:

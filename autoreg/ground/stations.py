@@ -10,7 +10,8 @@ from jaxtyping import Float, Int
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.ground.points import lengths, project_ground
-from autoreg.ground.sides import ALONG_X, Sides
+from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, Sides
+from autoreg.numbering import numbered
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,15 @@ class Stations:
     def direction(self) -> Float[np.ndarray, "n 2"]:
         """Unit direction on the ground."""
         return np.where(self.family[:, None] == ALONG_X, [[1.0, 0.0]], [[0.0, 1.0]])
+
+
+def joints_of(stations: Stations, grid: Grid) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]:
+    """Numbers of the joints that stations lie on, and where one station of each is.
+
+    An unbroken joint is one; the cross joints of a running bond are one each, however short.
+    """
+    piece = np.where((stations.family == ALONG_Y) & (grid.shift != 0), stations.cell, 0)
+    return numbered(stations.family, stations.line, piece)
 
 
 def place_stations(

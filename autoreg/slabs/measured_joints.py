@@ -9,12 +9,14 @@ pose could imitate otherwise.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.full_width import width_from_above
+from autoreg.fitting.lights import lights
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.joints.joint_looks import BLURS, DARK
 from autoreg.joints.smear import alike_in_px
@@ -60,6 +62,11 @@ class MeasuredJoints:
         cell = np.floor(stations.ground / [grid.spacing_x or grid.spacing_y, grid.spacing_y])
         return numbered(stations.family, stations.line)[0], numbered(*cell.T)[0]
 
+    @cached_property
+    def lights(self) -> tuple[Bool[np.ndarray, " n"], ...]:
+        """Which middles have one light."""
+        return lights(self.fit, self.rows)
+
     def middles_only(self, effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "k r"]:
         """Effects on the middles as such on all that is measured: they leave the widths alone."""
         return np.concatenate([effects, np.zeros((len(self.wide), effects.shape[1]))])
@@ -80,7 +87,8 @@ def without_washed_out(fit: Fit) -> Fit:
         lost = contrast[members] < WASHED_OUT * np.quantile(contrast[members], CLEAREST)
         if len(np.unique(fit.stations.line[members[~lost]])) >= FEWEST_LINES:
             usable[members[lost]] = False
-    return replace(fit, usable=usable)
+    # What is known of its widths stays known where nothing is lost.
+    return fit if np.array_equal(usable, fit.usable) else replace(fit, usable=usable)
 
 
 def measured_joints(fit: Fit, rows: Int[np.ndarray, " n"], *, widths: bool = True) -> MeasuredJoints:

@@ -12,7 +12,6 @@ from jaxtyping import Float
 from scipy.sparse import csr_matrix
 
 from autoreg.fitting.bare_steps import across_slope, only_steps, without_joints
-from autoreg.fitting.lights import lights
 from autoreg.grey_levels.joint_image import SOON
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.stations import Stations
@@ -116,7 +115,7 @@ def relief_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     walls += [DARK_WALL * _hump(steep, peak, HIDDEN) for peak in HALF_HIDDEN]
     far, near = [], []
     for own in (ALONG_X, ALONG_Y):
-        for way, light in product((-1.0, 1.0), lights(joints.fit, joints.rows)):
+        for way, light in product((-1.0, 1.0), joints.lights):
             mine = full * (light & (family == own)) * (STEPS_RELIEF if own in steps else 1.0)
             there = facing == way
             far += [mine * there * shift for shift in (*walls, *fading)]
@@ -168,7 +167,7 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
     walls = _wall_shapes(np.abs(slope), full / fit.strip.blur_px)
     own: list[np.ndarray] = []
-    for each, light in product((ALONG_X, ALONG_Y), lights(joints.fit, joints.rows)):
+    for each, light in product((ALONG_X, ALONG_Y), joints.lights):
         mine = full * (light & (family == each))
         unseen = LIGHT_TOGETHER if fit.strip.polarity[each] > 0 else TOGETHER
         together = np.where(rimmed, RIMMED_TOGETHER, STEPS_TOGETHER if each in steps else unseen)

@@ -10,7 +10,7 @@ from scipy.stats import binom, chi2
 
 from autoreg.camera import Camera
 from autoreg.image import as_gray
-from autoreg.slabs.uncertainty import check_camera
+from autoreg.slabs.camera_check import check_camera
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from benchmarks.last_stage import finish, grid_of, pose_error
 from benchmarks.metrics import Figure
