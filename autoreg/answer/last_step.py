@@ -16,7 +16,7 @@ from autoreg.slabs.measured_joints import measured_joints, widths_told, without_
 from autoreg.slabs.uncertainty import Settled, settle
 
 # Slabs whose places scatter by more than this, as seen across a joint of median size, need not be tried.
-UNEVEN_PX = 0.04
+UNEVEN_PX = 0.03
 # Joints that look narrower by more than this share of their width at a slope of one are sunk. Prints may seem
 # so by up to 0.06.
 SUNK = 0.1

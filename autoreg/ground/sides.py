@@ -25,6 +25,11 @@ class Grid:
     spacing_y: float
     shift: float = 0.0
 
+    @property
+    def slab_side(self) -> float:
+        """Geometric mean of a slab's sides; those of rows are taken for squares."""
+        return float(np.sqrt((self.spacing_x or self.spacing_y) * self.spacing_y))
+
 
 @dataclass(frozen=True)
 class Sides:

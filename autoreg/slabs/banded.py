@@ -11,6 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import as_strided
 from scipy.linalg.blas import dtrmm, dtrsm  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.linalg.lapack import dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
+
+# Bands that reach less far below the diagonal are too narrow for blocks.
+LEAST_REACH = 16
 
 
 def solve_lower_banded(
@@ -25,9 +29,8 @@ def solve_lower_banded(
     """
     height, size = cholesky.shape
     reach = height - 1
-    if not reach:
-        right /= cholesky[0][:, None]
-        return right
+    if reach < LEAST_REACH:
+        return dtbtrs(cholesky, right, uplo="L", overwrite_b=1)[0]
     entries = cholesky.ravel(order="K")
     rows = right.T
     for start in range(0, size, reach):

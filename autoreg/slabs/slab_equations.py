@@ -63,8 +63,9 @@ class SlabEquations:
         bow: float,
         rows: Int[np.ndarray, " n"],
         widths: bool,
-        courses: bool = True,
+        sizes: Sizes | None = None,
     ) -> None:
+        """Effects of which the `sizes` that will be asked for have nothing are left out."""
         self.free = np.flatnonzero(mask)
         self.joints = joints = measured_joints(fit, rows, widths=widths)
         # The widths know nothing of the pose, but what makes them differ moves the middles as well.
@@ -74,15 +75,15 @@ class SlabEquations:
         self.known = (self.unit / prior.sigma[self.free]) ** 2
         self.prior_mean = prior.mean[self.free] / self.unit
         a, b = fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y
-        self.side = float(np.sqrt(a * b))
-        effects = slab_effects(joints, a, b, self.side)
-        Z: Any = hstack(effects).tocsc()
+        effects = slab_effects(joints, a, b, fit.grid.slab_side)
+        # Which of the three sizes columns of Z are scaled by.
+        kinds = [k for k in range(3) if sizes is None or k == 0 or sizes[k] > 0]
+        Z: Any = hstack([effects[k] for k in kinds]).tocsc()
         # Neighbouring slabs next to each other: only they share a joint, and so the products form a band.
         order = reverse_cuthill_mckee((Z.T @ Z).tocsr(), symmetric_mode=True)
         self.Z: Any = Z[:, order].tocsr()
         self._pair_up()
-        # Which of the three sizes each column of Z is scaled by.
-        self.kind = np.repeat(np.arange(3), [effect.get_shape()[1] for effect in effects])[order]
+        self.kind = np.repeat(kinds, [effects[k].get_shape()[1] for k in kinds])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
         relief = relief_effects(joints)
         others = (
@@ -91,7 +92,8 @@ class SlabEquations:
             bow * bow_effects(joints),
             BLOOM_PX * bloom_effects(joints),
         )
-        course = course_effects(joints) if courses else np.zeros((len(joints.off_px), 0))
+        no_courses = sizes is not None and sizes[-1] == 0
+        course = np.zeros((len(joints.off_px), 0)) if no_courses else course_effects(joints)
         # Which of these columns are scaled by the sizes of the relief and of the courses' places.
         counts = [relief.shape[1], sum(effect.shape[1] for effect in others), course.shape[1]]
         self.relief, self.course = (np.repeat(of, counts) for of in np.eye(3, dtype=bool)[[0, 2]])

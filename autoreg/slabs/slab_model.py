@@ -104,14 +104,14 @@ def estimate_motion(
     """
     rows = np.flatnonzero(fit.usable)
     if near is not None and not search:
-        model = SlabEquations(fit, mask, prior, bow, rows, widths, courses=near.course > 0)
-        sizes, relief = _sizes_of(near, model.side), near.relief
+        sizes, relief = _sizes_of(near, fit.grid.slab_side), near.relief
+        model = SlabEquations(fit, mask, prior, bow, rows, widths, sizes)
     else:
         some = _in_blocks(fit, rows)
         model = SlabEquations(fit, mask, prior, bow, some, widths)
         sizes, relief = _likeliest_sizes(model, near)
         if len(some) < len(rows):
-            model = SlabEquations(fit, mask, prior, bow, rows, widths, courses=sizes[-1] > 0)
+            model = SlabEquations(fit, mask, prior, bow, rows, widths, sizes)
         else:
             model.begin_anew()
     for _ in range(2):
@@ -138,7 +138,7 @@ def estimate_motion(
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
     place, lift, turn, course = sizes
     relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
-    scatter = Scatter(place, place * lift, place * turn / model.side, place * course, relief, misfit)
+    scatter = Scatter(place, place * lift, place * turn / fit.grid.slab_side, place * course, relief, misfit)
     return Estimate(parameters, covariance, scatter)
 
 
@@ -188,7 +188,7 @@ def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes,
         ground = 1.48 * float(np.median(off_px / joints.px_per_unit)) + 1e-12
         best, relief, searches = (ground, *FIRST), 0.5, WIDE_SEARCHES
     else:
-        best, relief, searches = _sizes_of(near, model.side), near.relief, NEAR_SEARCHES
+        best, relief, searches = _sizes_of(near, model.joints.fit.grid.slab_side), near.relief, NEAR_SEARCHES
     model.reweigh(best, relief)
     for search in searches:
         score, relief = max((value, r) for r, value in model.evidence(best).items())
