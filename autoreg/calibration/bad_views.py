@@ -12,6 +12,7 @@ from autoreg.calibration.adjustment import Adjustment, adjust, fit_poses
 from autoreg.calibration.models import GENERAL
 from autoreg.calibration.observations import Data
 from autoreg.calibration.unknowns import Freedom, State
+from autoreg.spread import spread_about
 
 # A view is bad if it is foretold this many times worse than the median view, and if that is also this many
 # standard deviations of the spread among the views, on a logarithmic scale.
@@ -98,9 +99,10 @@ def sift(
         worst = int(np.argmax(rms))
         others = np.delete(rms, worst)
         usual = float(np.median(others))
-        spread = 1.4826 * float(np.median(np.abs(np.log(others / usual))))
-        spread = max(spread, 1 / np.sqrt(2 * max(2 * fit.present[worst].sum() - 6, 1)))
-        if rms[worst] < _LEAST_RATIO * usual or np.log(rms[worst] / usual) < _LEAST_SIGMAS * spread:
+        sigma = max(
+            spread_about(np.log(others / usual)), 1 / np.sqrt(2 * max(2 * fit.present[worst].sum() - 6, 1))
+        )
+        if rms[worst] < _LEAST_RATIO * usual or np.log(rms[worst] / usual) < _LEAST_SIGMAS * sigma:
             break
         bad.append(BadView(data.names[kept[worst]], float(rms[worst]), usual))
         kept = np.delete(kept, worst)

@@ -10,6 +10,7 @@ import numpy as np
 
 from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.fit import Fit
+from autoreg.spread import spread_about
 
 # So many joints tell how wide they would look from straight above, if their widths shrink with the slope of
 # the view by so many standard deviations; joints differ in width by such a share.
@@ -40,5 +41,5 @@ def width_from_above(fit: Fit) -> float | None:
         covariance = np.linalg.pinv(weighted.T @ columns)
         from_above, growth = (float(v) for v in covariance @ (weighted.T @ (width / sigma)))
         off = (width - from_above - growth * slope) / sigma
-        kept = 1.0 / (1.0 + (off / (HALF_SIGMAS * max(1.48 * float(np.median(np.abs(off))), 1e-6))) ** 2)
+        kept = 1.0 / (1.0 + (off / (HALF_SIGMAS * max(spread_about(off), 1e-6))) ** 2)
     return from_above if -growth > CLEAR_SIGMAS * float(np.sqrt(covariance[1, 1])) else None

@@ -7,11 +7,11 @@ from jaxtyping import Bool, Int
 
 from autoreg.fitting.fit import Fit
 from autoreg.joints.joint_looks import DARK
+from autoreg.spread import spread
 
 # They show as two groups of tones: so many stations with at least such a share in either group, whose tones
 # lie apart by so much, as a logarithm, and by so many standard deviations within a group.
 FEWEST, LEAST_SHARE, SHADE, SHADE_SIGMAS = 60, 0.1, 0.2, 4.0
-BY_MEDIAN = 1.4826
 
 
 def lights(fit: Fit, rows: Int[np.ndarray, " n"]) -> tuple[Bool[np.ndarray, " n"], ...]:
@@ -32,7 +32,7 @@ def lights(fit: Fit, rows: Int[np.ndarray, " n"]) -> tuple[Bool[np.ndarray, " n"
     dark = tone <= split
     groups = tone[dark], tone[~dark]
     apart = float(np.median(groups[1]) - np.median(groups[0]))
-    spread = max(BY_MEDIAN * float(np.median(np.abs(group - np.median(group)))) for group in groups)
-    if min(map(len, groups)) < LEAST_SHARE * len(tone) or apart < max(SHADE, SHADE_SIGMAS * spread):
+    within = max(spread(group) for group in groups)
+    if min(map(len, groups)) < LEAST_SHARE * len(tone) or apart < max(SHADE, SHADE_SIGMAS * within):
         return every
     return dark, ~dark

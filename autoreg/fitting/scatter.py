@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.stations import Stations
+from autoreg.spread import spread, spread_about
 
 # An outermost line that lies off by so many times what the inner ones do is the rim of something else, if
 # there are at least so many lines and it is off by more than this share of a side and so many pixels; they
@@ -42,7 +43,7 @@ def beside_rim(
         most = len(lines) // RIM_PART
         inner = place[most : len(lines) - most]
         away = np.abs(place - np.median(inner))
-        limit = RIM_SIGMAS * 1.48 * float(np.median(np.abs(inner - np.median(inner))))
+        limit = RIM_SIGMAS * spread(inner)
         gross = np.flatnonzero((away > max(limit, RIM_SHARE)) & (np.abs(off_px[median]) > RIM_PX))
         # What lies beyond such a line is no paving of this lattice either.
         first, last = gross[gross < most], gross[gross >= len(lines) - most]
@@ -69,7 +70,7 @@ def scatter_model(
     rows = rows[:: max(1, len(rows) // SCATTER_SAMPLE)]
     r, s, u = np.abs(distances[rows]), sigma_fit[rows], px_per_unit[rows]
     s = np.maximum(s, 0.3 * np.median(s))
-    base = float(np.median(r)) * 1.48 + 1e-6
+    base = spread_about(r) + 1e-6
     shares = np.r_[0.0, np.geomspace(0.05, 2.0, 10)] * base
     share_s, share_u = (
         np.stack(np.meshgrid(shares / np.median(s), shares / np.median(u)), -1).reshape(-1, 2).T

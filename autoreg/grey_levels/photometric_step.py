@@ -13,6 +13,7 @@ from autoreg.grey_levels.joint_image import JointImage, Shape, Slopes, with_look
 from autoreg.grey_levels.joint_pixels import JOINT, TONES, JointPixels
 from autoreg.grey_levels.tones import Blocks, Shares, over_parts, tone_variances
 from autoreg.solve import joint_data as terms
+from autoreg.spread import spread_about
 
 # Looks change by at most this much at a time, in their logarithms.
 MOST_LOOKS_STEP = 0.3
@@ -261,11 +262,11 @@ def moved_shape(shape: Shape, step: Float[np.ndarray, " p"]) -> Shape:
 
 def _scatter(left: np.ndarray, weight: np.ndarray, fitted: float) -> float:
     """Standard deviation of the noise, by the median of the residuals that count and the values `fitted`."""
-    counted = np.abs(left[weight > 0])
+    counted = left[weight > 0]
     if len(counted) <= fitted:
         return LEAST_NOISE
     spared = np.sqrt(len(counted) / (len(counted) - fitted))
-    return max(1.4826 * float(np.median(counted) * spared), LEAST_NOISE)
+    return max(spread_about(counted) * float(spared), LEAST_NOISE)
 
 
 def _robust(left: np.ndarray, noise: float, cell: np.ndarray) -> Float[np.ndarray, " n"]:

@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.spread import spread_about
+
 # So many squares either way, of so many pixels a side, are looked at.
 TILES, TILE_PX = 6, 64
 # Steps of a coarse difference, along the axes and along the diagonals; a fine one is of one step.
@@ -86,7 +88,7 @@ def alike_in_px(
         covariance = np.linalg.pinv(weighted.T @ weighted)
         parts = covariance @ (weighted.T @ (width_px * weight))
         off = np.abs(width_px - columns @ parts) / sigma_px
-        spread = 1.48 * float(np.median(off)) + 1e-6
+        spread = spread_about(off) + 1e-6
         unsure = spread * float(np.sqrt(covariance[1, 1]))
         weight = 1.0 / sigma_px / np.hypot(1.0, 0.5 * off / spread)
     growing, constant = parts

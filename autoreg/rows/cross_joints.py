@@ -12,6 +12,7 @@ from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.ground.points import inside_box, on_ground
 from autoreg.segments import Segments
+from autoreg.spread import spread
 
 # Cross joints lie this close to the right angle; segments that lie this far from either direction show how
 # many would by chance.
@@ -32,9 +33,8 @@ COLUMNS_POWER, COLUMNS_SHARE = 30.0, 0.4
 COLUMNS_PER_WIDTH, MOVES = np.linspace(0.7, 1.4, 141), np.arange(32) / 32
 # Fewer cross joints than this do not tell their own scatter.
 FEWEST_JOINTS = 8
-# Standard deviation of normal values per median of their distances from their median, and that of a median
-# against that of a mean.
-BY_MEDIAN, MEDIAN_LOSS = 1.4826, 1.2533
+# Standard deviation of a median of normal values, per that of their mean.
+MEDIAN_LOSS = 1.2533
 
 
 @dataclass(frozen=True)
@@ -168,9 +168,7 @@ def _lean_of(seen: OffSquare) -> Lean | None:
     joints = len(np.unique(seen.joint))
     if joints < FEWEST_JOINTS:
         return None
-    middle = float(np.median(seen.angle))
-    spread = BY_MEDIAN * float(np.median(np.abs(seen.angle - middle)))
-    return Lean(middle, MEDIAN_LOSS * spread / float(np.sqrt(joints)))
+    return Lean(float(np.median(seen.angle)), MEDIAN_LOSS * spread(seen.angle) / float(np.sqrt(joints)))
 
 
 def off_angle(ground: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:

@@ -21,6 +21,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.joints.joint_looks import BLURS, DARK
 from autoreg.joints.smear import alike_in_px
 from autoreg.numbering import numbered
+from autoreg.spread import spread_about
 
 # Share of the largest blur that is tried, from which on the blur itself is in doubt.
 MOST_BLUR = 0.85
@@ -138,7 +139,7 @@ def _own_noise(
     claim = np.maximum(claim, 0.3 * float(np.median(claim)))
     pair = np.flatnonzero(side[1:] == side[:-1])
     if len(pair) >= 10:
-        step = np.abs(np.diff(off))[pair] / np.hypot(claim[pair], claim[pair + 1])
-        claim = claim * 1.48 * float(np.median(step))
+        step = np.diff(off)[pair] / np.hypot(claim[pair], claim[pair + 1])
+        claim = claim * spread_about(step)
     # The floor holds for a side as a whole, however many stations it has.
     return np.hypot(claim, SIDE_FLOOR_PX * np.sqrt(np.bincount(side)[side]))

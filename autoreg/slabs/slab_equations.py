@@ -29,6 +29,7 @@ from autoreg.slabs.slab_effects import (
     width_effects,
 )
 from autoreg.solve.solver import CAUCHY_SIGMAS, Prior
+from autoreg.spread import spread_about
 
 # Sizes of the relief that are weighed against each other, as shares of half the joint's width. It cannot be
 # more than one by geometry, but the width itself is measured on what is left of the joint.
@@ -104,8 +105,9 @@ class SlabEquations:
     def begin_anew(self) -> None:
         """Go back to the weights that the joints' distances alone give."""
         joints = self.joints
-        narrower = np.abs(joints.off_px[len(joints.rows) :])
-        usual = np.r_[joints.fit.sigma_px[joints.rows], np.full(len(narrower), 1.48 * _median(narrower))]
+        narrower = joints.off_px[len(joints.rows) :]
+        usual_narrower = spread_about(narrower) + 1e-6 if len(narrower) else 1.0
+        usual = np.r_[joints.fit.sigma_px[joints.rows], np.full(len(narrower), usual_narrower)]
         self.weight = 1.0 / (1.0 + (joints.off_px / (CAUCHY_SIGMAS * usual)) ** 2)
         self._weigh()
 
@@ -247,10 +249,6 @@ class SlabEquations:
         variance = self.joints.noise_px**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
         variance += self.course_squares * (place * course) ** 2
         deviation = np.abs(left) / np.sqrt(variance)
-        gross = deviation > GROSS_SIGMAS * max(1.48 * float(np.median(deviation)), 1e-6)
+        gross = deviation > GROSS_SIGMAS * max(spread_about(deviation), 1e-6)
         self.weight = np.where(gross, 1e-6, 1.0 / (1.0 + own**2 / (CAUCHY_SIGMAS**2 * self.D * self.weight)))
         self._weigh()
-
-
-def _median(values: Float[np.ndarray, " n"]) -> float:
-    return float(np.median(values)) + 1e-6 if len(values) else 1.0

@@ -29,6 +29,7 @@ from autoreg.numbering import numbered
 from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
 from autoreg.solve.joint_data import PARAMETERS
 from autoreg.solve.solver import Prior
+from autoreg.spread import spread_about
 
 # What is tried in turn: factors of the place's size, and sizes of lift, turn and courses as shares of it,
 # from those that are tried first.
@@ -184,8 +185,7 @@ def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes,
     """
     if near is None:
         joints = model.joints
-        off_px = np.abs(joints.off_px[: len(joints.rows)])
-        ground = 1.48 * float(np.median(off_px / joints.px_per_unit)) + 1e-12
+        ground = spread_about(joints.off_px[: len(joints.rows)] / joints.px_per_unit) + 1e-12
         best, relief, searches = (ground, *FIRST), 0.5, WIDE_SEARCHES
     else:
         best, relief, searches = _sizes_of(near, model.joints.fit.grid.slab_side), near.relief, NEAR_SEARCHES
