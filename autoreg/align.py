@@ -8,9 +8,11 @@ from autoreg.alignment import Alignment, CameraReport, CameraSource, JointFit, P
 from autoreg.answer.conclude import (
     canonical_frame,
     describe_lattice,
+    exif_not_followed,
     fitted_joints,
     measure_residual,
     metric_scale,
+    scaled_covariance,
     unsure,
 )
 from autoreg.answer.full_resolution import REACH, Laid, measured_rows, measured_slabs
@@ -61,7 +63,8 @@ def align(
             photo's own joints.
         slab: sides of a slab in metres, in either order.
         camera_height: height of the camera above the paving in metres, instead of `slab`.
-        exif_focal_px: focal length in pixels that the photo's EXIF data claim.
+        exif_focal_px: focal length in pixels that the photo's EXIF data claim. Where it shows no paving, the
+            photo's own joints are asked for another.
 
     Raises:
         Refusal: the photo does not carry the answer; the reason is in its code and message.
@@ -93,13 +96,18 @@ def align_seen(
     source: CameraSource = "file" if camera is not None else "photo"
     if camera is None and exif_focal_px is not None:
         camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
+    warnings: tuple[str, ...] = ()
     try:
         laid = _laid(sight, picture, camera, source, slab)
     except Refusal as refusal:
-        # What a wrong camera hides may look like anything.
-        asked = source == "file" and refusal.code not in OWN_REASONS
-        raise (_other_camera(sight, camera) if asked else None) or refusal from None
-    return _concluded(picture, laid, source, slab, camera_height)
+        if source == "exif" and refusal.code not in OWN_REASONS:
+            laid = _laid_without_exif(sight, picture, slab, refusal)
+            source, warnings = "photo", (exif_not_followed(exif_focal_px, laid.fit.camera),)
+        else:
+            # What a wrong camera hides may look like anything.
+            asked = source == "file" and refusal.code not in OWN_REASONS
+            raise (_other_camera(sight, camera) if asked else None) or refusal from None
+    return _concluded(picture, laid, source, slab, camera_height, warnings)
 
 
 def _laid(
@@ -136,6 +144,20 @@ def _laid(
     if off is not None:
         raise _other_camera(sight, given) or off
     return laid
+
+
+def _laid_without_exif(
+    sight: Sight, picture: np.ndarray, slab: tuple[float, float] | None, refusal: Refusal
+) -> Laid:
+    """The paving by a focal length of its own, where that of EXIF, which crops and zooms falsify, shows none.
+
+    Raises:
+        Refusal: there is none either way; the first `refusal` says why.
+    """
+    try:
+        return _laid(sight, picture, None, "photo", slab)
+    except Refusal:
+        raise refusal from None
 
 
 def _found(sight: Sight, camera: Camera | None, slab: tuple[float, float] | None) -> Paving | Rows:
@@ -195,6 +217,7 @@ def _concluded(
     source: CameraSource,
     slab: tuple[float, float] | None,
     camera_height: float | None,
+    warnings: tuple[str, ...],
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
     fit, settled, squared = laid.fit, laid.settled, laid.squared
@@ -212,12 +235,12 @@ def _concluded(
     scale, scale_source = metric_scale(fit, slab, camera_height, laid.longer)
     frame = canonical_frame(fit, settled.presence, laid.crossing)
     pose = frame.pose(fit.cam_from_ground)
-    units = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
     covariance = frame.covariance(last.covariance, fit.cam_from_ground)
+    covariance = scaled_covariance(covariance, pose, scale, height_held=scale_source == "camera_height")
     focal, focal_sigma = (check.focal_px, check.focal_sigma_px) if told else (None, None)
     if squared is not None:
         focal, focal_sigma = fit.camera.fx, fit.camera.fx * squared.sigma_log_focal
-    answer = Pose(Rigid(pose.R, scale * pose.t), units @ covariance @ units)
+    answer = Pose(Rigid(pose.R, scale * pose.t), covariance)
     return Alignment(
         width=fit.camera.width,
         height=fit.camera.height,
@@ -234,7 +257,7 @@ def _concluded(
         lattice=describe_lattice(fit, settled.presence, frame, scale),
         residual=measure_residual(fit),
         joints=fitted_joints(fit, frame),
-        warnings=unsure(answer, source, slab_told=slab is not None),
+        warnings=(*warnings, *unsure(answer, source, slab_told=slab is not None)),
     )
 
 

@@ -48,7 +48,8 @@ class Pose:
         up, t = self.cam_from_ground.R[:, 2], self.cam_from_ground.t
         # The height is -up . t, and a small turn w moves up by w x up.
         by_motion = -np.r_[np.cross(up, t), up]
-        return float(np.sqrt(by_motion @ self.covariance @ by_motion))
+        # It is known exactly where the scale was taken from it.
+        return float(np.sqrt(max(by_motion @ self.covariance @ by_motion, 0.0)))
 
 
 @dataclass(frozen=True)

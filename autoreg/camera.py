@@ -174,6 +174,9 @@ def fit_to_photo(
 ) -> tuple[Camera, str | None]:
     """The camera for a photo of this size, and a sentence on what was done to it (None: nothing).
 
+    A camera is taken to be of the stored photos, before EXIF turns them, wherever its size allows that:
+    turned by half, or square, either frame has one size.
+
     Args:
         camera: the calibrated camera.
         width: width of the photo in pixels, after its EXIF orientation was applied.
@@ -192,19 +195,19 @@ def fit_to_photo(
         except ValueError as error:
             raise InputError(f"{error}, the calibrated frame; correct --crop") from error
         notes.append("cropped to x,y,w,h = " + ",".join(map(str, crop)))
-    if photo_mirrored:
-        camera = camera.mirrored()
-        notes.append("mirrored as the photo's EXIF orientation says")
     fits = same_aspect(camera.width, camera.height, width, height)
     fits_turned = same_aspect(camera.height, camera.width, width, height)
-    if fits:
-        if photo_turned % 4 == 2:
-            notes.append("not turned: EXIF turns the photo by 180°, and K is taken to be of the turned photo")
-    elif fits_turned and photo_turned % 2 == 1:
-        camera = camera.turned(photo_turned)
-        notes.append(f"turned clockwise by {90 * (photo_turned % 4)}° with the photo, as its EXIF says")
-    else:
+    on_its_side = photo_turned % 2 == 1
+    if not fits and not (on_its_side and fits_turned):
         raise _size_contradiction(camera, width, height, cropped=crop is not None, transposed=fits_turned)
+    # It is of the stored photos, which lie as the sensor does, unless its size tells that it is upright.
+    if not on_its_side or fits_turned:
+        if photo_mirrored:
+            camera = camera.mirrored()
+            notes.append("mirrored as the photo's EXIF orientation says")
+        if photo_turned % 4:
+            camera = camera.turned(photo_turned)
+            notes.append(f"turned clockwise by {90 * (photo_turned % 4)}° with the photo, as its EXIF says")
     if (camera.width, camera.height) != (width, height):
         notes.append(f"scaled from {camera.width} x {camera.height} to {width} x {height}")
         camera = camera.scaled(width, height)

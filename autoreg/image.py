@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import struct
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -50,6 +52,11 @@ class Photo:
     def height(self) -> int:
         """Height in pixels."""
         return self.gray.shape[0]
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of the file's bytes, by which the photo is known again."""
+        return hashlib.sha256(self._data).hexdigest()
 
     def colour(self) -> UInt8[np.ndarray, "h w 3"]:
         """The picture in colour (BGR), decoded anew from the bytes of the file that were read."""

@@ -329,6 +329,27 @@ def test_a_camera_calibrated_upright_fits_an_upright_photo_that_exif_turned():
     assert fit_to_photo(upright, 1200, 1600, photo_turned=1) == (upright, None)
 
 
+@pytest.mark.parametrize("quarters", [1, 3])
+def test_nor_is_a_camera_calibrated_upright_mirrored(quarters):
+    upright = LENS.turned(1)
+    assert fit_to_photo(upright, 1200, 1600, photo_turned=quarters, photo_mirrored=True) == (upright, None)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_camera_turns_by_half_with_the_photo(mirrored):
+    camera, note = fit_to_photo(LENS, 1600, 1200, photo_turned=2, photo_mirrored=mirrored)
+    assert camera == (LENS.mirrored() if mirrored else LENS).turned(2)
+    assert "180°" in note
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_square_camera_turns_with_the_photo(quarters):
+    square = LENS.cropped(200, 0, 1200, 1200)
+    camera, note = fit_to_photo(square, 1200, 1200, photo_turned=quarters)
+    assert camera == square.turned(quarters)
+    assert f"{90 * quarters}°" in note
+
+
 def test_a_mirrored_photo_mirrors_the_camera():
     camera, note = fit_to_photo(LENS, 1200, 1600, photo_turned=1, photo_mirrored=True)
     assert camera == LENS.mirrored().turned(1)

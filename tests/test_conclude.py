@@ -17,6 +17,7 @@ from autoreg.answer.conclude import (
     lattice_kind,
     measure_residual,
     metric_scale,
+    scaled_covariance,
     unsure,
 )
 from autoreg.answer.slab_shape import with_slab_ratio
@@ -144,6 +145,17 @@ def test_joints_are_named_by_where_they_lie(name: str, request: pytest.FixtureRe
         assert joint.rms_px < 0.5
     lines = [joint.index for joint in joints if joint.family == "x"]
     assert len(lines) == len(set(lines))
+    assert measure_residual(fit).joints == len(joints)
+
+
+def test_joints_lie_on_the_lattice_that_the_last_solve_left(stack_fit: Fit):
+    # Its stations were laid on a lattice of another shape.
+    grid, ground = stack_fit.grid, stack_fit.stations.ground
+    laid = replace(stack_fit, stations=replace(stack_fit.stations, ground=ground * [1.001, 0.999]))
+    for joint in fitted_joints(laid, Frame(0, np.zeros(2))):
+        ends = on_ground(joint.ends_px, laid.camera, laid.cam_from_ground)
+        across, spacing = (1, grid.spacing_y) if joint.family == "x" else (0, grid.spacing_x)
+        assert ends[:, across] == pytest.approx([joint.index * (spacing or 0.0)] * 2, abs=1e-9)
 
 
 def test_short_cross_joints_are_named_as_well_and_end_where_they_were_measured(
@@ -219,3 +231,22 @@ def test_a_known_ratio_keeps_the_area_and_which_side_is_longer(stack_fit: Fit, o
     assert grid.spacing_x / grid.spacing_y == pytest.approx(max(one, other) / min(one, other))
     rows = replace(stack_fit, grid=Grid(None, 0.4))
     assert with_slab_ratio(rows, (one, other)) is rows
+
+
+def test_a_height_that_is_given_is_known_and_the_rest_moves_with_it():
+    rng = np.random.default_rng(3)
+    half = 0.002 * rng.normal(size=(6, 6))
+    C = half @ half.T
+    R = rotation_from_vector(np.array([2.2, 0.3, 0.1]))
+    pose = Rigid(R, R @ np.array([0.4, 0.3, -1.7]))
+    scale = 1.55 / float(pose.origin_in_a[2])
+    held = scaled_covariance(C, pose, scale, height_held=True)
+    assert Pose(Rigid(R, scale * pose.t), held).sigma_height == pytest.approx(0.0, abs=1e-9)
+    # As many small motions say.
+    moved: list[np.ndarray] = []
+    for motion in rng.multivariate_normal(np.zeros(6), C, 4000):
+        near = Rigid(rotation_from_vector(motion[:3]) @ R, pose.t + motion[3:])
+        moved.append(1.55 / float(near.origin_in_a[2]) * near.t - scale * pose.t)
+    assert np.sqrt(np.diag(np.cov(np.array(moved).T))) == pytest.approx(np.sqrt(np.diag(held)[3:]), rel=0.06)
+    plain = scaled_covariance(C, pose, 2.0, height_held=False)
+    assert plain[3:, 3:] == pytest.approx(4.0 * C[3:, 3:])

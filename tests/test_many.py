@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,10 +20,13 @@ def test_every_photo_ends_as_it_would_by_itself_and_in_order(tmp_path: Path, gra
     jobs = [
         Job(tmp_path / "absent.jpg", tmp_path / "a"),
         demo_job(tmp_path / "b", None),
+        replace(demo_job(tmp_path / "d", None), slab=(-1.0, 0.5)),
         Job(gravel, tmp_path / "c"),
     ]
-    absent, paved, refused = run_jobs(jobs, processes=2)
-    assert [run.job for run in (absent, paved, refused)] == jobs
+    absent, paved, negative, refused = run_jobs(jobs, processes=2)
+    assert [run.job for run in (absent, paved, negative, refused)] == jobs
+    assert isinstance(negative.error, InputError)
+    assert "slab" in str(negative.error)
     assert isinstance(absent.error, InputError)
     assert absent.outcome is None
     assert not (tmp_path / "a").exists()

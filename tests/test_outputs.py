@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from autoreg.errors import InputError
-from autoreg.jobs.outputs import clear_results, usable_folder, write_png, write_whole
+from autoreg.jobs.outputs import clear_results, kept_apart, results_in, usable_folder, write_png, write_whole
 
 
 def test_a_file_that_could_not_be_written_keeps_its_old_content(tmp_path, monkeypatch):
@@ -48,3 +48,14 @@ def test_earlier_results_are_cleared_only_where_a_report_stands(tmp_path):
     (tmp_path / "notes.txt").write_text("keep")
     clear_results(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.parametrize("name", ["overlay.png", "alignment.json", "scene-thing_cup.png"])
+def test_what_is_read_is_not_written_over(tmp_path, name):
+    (tmp_path / name).write_bytes(b"a photo")
+    with pytest.raises(InputError, match=rf"{name} would be written over.*another folder"):
+        kept_apart((None, tmp_path / name), results_in(tmp_path))
+    (tmp_path / "link.png").symlink_to(tmp_path / name)
+    with pytest.raises(InputError, match="written over"):
+        kept_apart((tmp_path / "link.png",), results_in(tmp_path))
+    kept_apart((tmp_path / name, tmp_path / "absent.png"), results_in(tmp_path / "elsewhere"))

@@ -1,3 +1,4 @@
+import hashlib
 import json
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from autoreg.jobs.alignment_file import read_alignment
 from autoreg.jobs.options import parse_lens, parse_sun
 from autoreg.jobs.report import aligned_report, report_text
 
+WISH = render_job.Wish()
 BALL = '[[object]]\nshape = "sphere"\nradius = 0.2\nslab = [0, 0]\n'
 
 
@@ -179,3 +181,64 @@ def test_option_values_are_read():
     assert parse_lens("exif") == (None, None)
     assert parse_lens("2.8") == (2.8, None)
     assert parse_lens("2.8,24") == (2.8, 24.0)
+
+
+def test_another_photo_of_the_same_name_is_not_taken_for_the_aligned_one(folder, monkeypatch):
+    digest = hashlib.sha256(Path("photo.png").read_bytes()).hexdigest()
+    report = aligned_report(Path("photo.png"), alignment(), None, sha256=digest)
+    Path("out/alignment.json").write_text(report_text(report))
+    Path("elsewhere").mkdir()
+    cv2.imwrite("elsewhere/photo.png", 255 - photo_for(CAMERA))
+    monkeypatch.chdir("elsewhere")
+    wanted = read_alignment(Path("../out/alignment.json"))
+    path, colour = render_job._photo_of(render_job.RenderJob(Path("../out/alignment.json"), WISH), wanted)
+    assert path.samefile(folder / "photo.png")
+    assert (colour == photo_for(CAMERA)).all()
+    (folder / "photo.png").unlink()
+    with pytest.raises(InputError, match="not the photo that was aligned.*--photo"):
+        render_job._photo_of(render_job.RenderJob(Path("../out/alignment.json"), WISH), wanted)
+
+
+def test_a_photo_among_the_results_is_not_painted_over(folder):
+    cv2.imwrite("out/composite.png", photo_for(CAMERA))
+    before = Path("out/composite.png").read_bytes()
+    done = run("--photo", "out/composite.png")
+    assert done.exit_code == 2
+    assert "written over" in done.stderr
+    assert Path("out/composite.png").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        (("lattice", "kind"), "foo"),
+        (("lattice", "spacing"), [0.0, 0.5]),
+        (("lattice", "spacing"), ["a", "b"]),
+        (("lattice", "spacing"), [None, 0.5]),
+        (("lattice", "extent"), []),
+        (("lattice", "extent"), [[0, 0], [None, 1], [1, 1]]),
+        (("lattice", "extent"), [[-1e9, -1e9], [1e9, -1e9], [1e9, 1e9]]),
+        (("lattice", "joint_width"), None),
+        (("pose", "R"), [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+        (("pose", "t"), [0.0, None, 1.0]),
+        (("image",), "photo.png"),
+    ],
+)
+def test_a_damaged_alignment_is_said_to_be(folder, where, value):
+    report = json.loads(Path("out/alignment.json").read_text())
+    part = report
+    for key in where[:-1]:
+        part = part[key]
+    part[where[-1]] = value
+    Path("out/alignment.json").write_text(json.dumps(report))
+    done = run()
+    assert done.exit_code == 2
+    assert "damaged" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "text", ['{"schema_version": 1, "status": "refused", "reason": "gravel"}', "[" * 9999]
+)
+def test_nor_does_any_other_text_end_in_a_traceback(folder, text):
+    Path("out/alignment.json").write_text(text)
+    assert run().exit_code == 2

@@ -48,8 +48,8 @@ def test_an_aligned_report_has_every_field_of_the_contract():
 
 def test_values_go_through_the_file_unchanged():
     found = alignment()
-    report = written(aligned_report(PHOTO, found, RENDER))
-    assert report["image"] == {"path": "my photo.jpg", "width": 640, "height": 480}
+    report = written(aligned_report(PHOTO, found, RENDER, sha256="0a1b"))
+    assert report["image"] == {"path": "my photo.jpg", "width": 640, "height": 480, "sha256": "0a1b"}
     assert np.array_equal(report["camera"]["K"], CAMERA.K)
     assert len(report["camera"]["dist"]) == 8
     assert np.array_equal(report["pose"]["R"], found.pose.cam_from_ground.R)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.alignment import CameraSource, JointFit, Pose, Residual
+from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
@@ -17,7 +18,6 @@ from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.stations import joints_of
 from autoreg.lattice import Lattice, LatticeKind
-from autoreg.numbering import numbered
 from autoreg.paving.presence import Presence
 
 # A standard deviation of the camera's turn, in degrees, from which on things on the ground are seen to lean;
@@ -117,12 +117,11 @@ def measure_residual(fit: Fit) -> Residual:
     off = np.abs(fit.distances_px)
     inlier = fit.usable & (off < 3.0 * fit.sigma_px)
     near = off[inlier]
-    lines = numbered(fit.stations.family[inlier], fit.stations.line[inlier])[1]
     return Residual(
         rms_px=float(np.sqrt(np.mean(near**2))),
         median_px=float(np.median(near)),
         p95_px=float(np.quantile(near, 0.95)),
-        joints=len(lines),
+        joints=len(joints_of(fit.stations.take(np.flatnonzero(inlier)), fit.grid)[1]),
         samples=int(inlier.sum()),
         inlier_fraction=float(inlier.sum() / len(off)),
     )
@@ -131,11 +130,11 @@ def measure_residual(fit: Fit) -> Residual:
 def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
     """The joint lines that carried the fit, in the chosen frame's families and indices.
 
-    An unbroken joint is one entry; the cross joints of a running bond are one each, however short. Each ends
-    where the last stretch of it ends that was measured.
+    An unbroken joint is one entry; the cross joints of a running bond are one each, however short. Each lies
+    on its line of the lattice, and ends where the last stretch of it ends that was measured.
     """
     inlier = fit.usable & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
-    grid = frame.grid(fit.grid)
+    grid, pose = frame.grid(fit.grid), frame.pose(fit.cam_from_ground)
     stations, off = fit.stations.take(inlier), fit.distances_px[inlier]
     ground, half_length = stations.ground, stations.half_length
     turned = frame.quarter_turns % 2 == 1
@@ -147,14 +146,18 @@ def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
         low, high = int((along - half).argmin()), int((along + half).argmax())
         ends = ground[rows[[low, high]]]
         ends[:, axis] += -half[low], half[high]
-        x, y = frame.points(ends.mean(0))
+        ends = frame.points(ends)
+        x, y = ends.mean(0)
         name: Literal["x", "y"] = "x" if (axis == ALONG_X) != turned else "y"
+        # The stations were laid on the lattice as it was before the last solve.
         if name == "x":
             index = round(float(y / grid.spacing_y))
+            ends[:, 1] = index * grid.spacing_y
         else:
-            row = np.floor(float(y / grid.spacing_y))
-            index = round(float(x / (grid.spacing_x or 1.0) - (row * grid.shift if grid.shift else 0.0)))
-        ends_px = project_ground(fit.camera, fit.cam_from_ground, ends)
+            a, moved = grid.spacing_x or 1.0, float(np.floor(y / grid.spacing_y)) * grid.shift
+            index = round(float(x / a - moved))
+            ends[:, 0] = (index + moved) * a
+        ends_px = project_ground(fit.camera, pose, ends)
         joints.append(JointFit(name, index, ends_px, float(np.sqrt(np.mean(off[rows] ** 2)))))
     return tuple(sorted(joints, key=lambda j: (j.family, j.index, float(j.ends_px[0, 0]))))
 
@@ -183,6 +186,22 @@ def metric_scale(
     return (1.0 / b if a is None else 2.0 / (a + b)), "none"
 
 
+def scaled_covariance(
+    covariance: Float[np.ndarray, "6 6"], pose: Rigid, scale: float, *, height_held: bool
+) -> Float[np.ndarray, "6 6"]:
+    """Covariance of a pose whose translation is scaled, by a given number or so that the height is known.
+
+    Where the height is held, the scale itself turns and moves with the pose.
+    """
+    A = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
+    if height_held:
+        # t' = scale t with scale = known / height, and height = -n t for the ground's normal n.
+        n, t = pose.R[:, 2], pose.t
+        shrinks = np.outer(t, np.r_[np.cross(n, t), n]) / float(-n @ t)
+        A[3:] += scale * shrinks
+    return A @ covariance @ A.T
+
+
 def _row_width(slab: tuple[float, float], longer: bool | None) -> float:
     """Which side of the slab is the width of a row, whose slabs are `longer` than that, or shorter."""
     short, long = sorted(slab)
@@ -196,6 +215,14 @@ def _row_width(slab: tuple[float, float], longer: bool | None) -> float:
         "be the width of a row; give the row's width as one number with --slab",
         measured=2.0,
         limit=1.0,
+    )
+
+
+def exif_not_followed(exif_focal_px: float | None, own: Camera) -> str:
+    """The warning of a photo that shows no paving by the focal length that its EXIF claims."""
+    return (
+        f"by the focal length of the photo's EXIF, {exif_focal_px or 0.0:.0f} px, no paving is seen; that of its "
+        f"own joints, {own.fx:.0f} px, was taken instead, as for a photo that was cropped since"
     )
 
 

@@ -133,6 +133,11 @@ def _calibrate(
             f"{output} is a folder; give the camera file's name, such as -o {output}/camera.json"
         )
     usable_folder(output.parent)
+    if output.is_file() and not output.read_bytes()[:64].lstrip().startswith(b"{"):
+        raise InputError(
+            f"{output} is there already and is no camera file of autoreg; give another name with -o, such as "
+            "-o camera.json"
+        )
     if report is not None:
         usable_folder(report)
     with _progress() as progress:

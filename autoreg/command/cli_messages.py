@@ -75,8 +75,9 @@ def _summary(alignment: Alignment) -> str:
     sides = [f"{side:.4g}" for side in (lattice.spacing_x, lattice.spacing_y) if side is not None]
     pose = alignment.pose
     height, turn_deg = float(pose.cam_from_ground.origin_in_a[2]), math.degrees(pose.sigma_turn)
+    sigma = "" if alignment.scale_source == "camera_height" else f" ± {pose.sigma_height:.1g}"
     return (
-        f"aligned: {lattice.kind} of {' x '.join(sides)}{unit}, camera {height:.4g} ± {pose.sigma_height:.1g}"
+        f"aligned: {lattice.kind} of {' x '.join(sides)}{unit}, camera {height:.4g}{sigma}"
         f"{unit} above the ground and turned to ± {turn_deg:.1g}°, "
         f"{residual.joints} joints at {residual.rms_px:.2f} px rms"
     )

@@ -16,10 +16,10 @@ from autoreg.camera_files import distrust, read_camera
 from autoreg.errors import Refusal, RenderError
 from autoreg.ground.sight import see
 from autoreg.image import Photo, load_photo
-from autoreg.jobs.outputs import clear_results, usable_folder, write_png, write_whole
+from autoreg.jobs.outputs import clear_results, kept_apart, results_in, usable_folder, write_png, write_whole
 from autoreg.jobs.overlay import overlay_picture
 from autoreg.jobs.render_job import Wish, make_plan, read_wish, render_into, write_scene
-from autoreg.jobs.report import Report, aligned_report, refused_report, report_text
+from autoreg.jobs.report import Report, aligned_report, refused_report, render_report, report_text
 from autoreg.rendering.objects import Scene
 from autoreg.rendering.render import EngineName
 
@@ -99,6 +99,7 @@ def run_job(job: Job, listener: Listener) -> Outcome:
         InputError: the photo, the camera or the folder cannot be used; nothing was written.
     """
     usable_folder(job.folder)
+    kept_apart((job.photo, job.camera, job.wish.scene), results_in(job.folder))
     scene = read_wish(job.wish)
     ended = threading.Event()
     # No daemon: a process that ends while XLA compiles in such a thread is aborted. The command waits for it.
@@ -134,7 +135,7 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
 
         listener.doing("drawing")
         colour = decoded.result()
-        report = aligned_report(job.photo, alignment, None)
+        report = aligned_report(job.photo, alignment, None, sha256=photo.sha256)
         drawn = beside.submit(overlay_picture, alignment, colour)
         plan = make_plan(job.wish, scene, alignment, colour, job.photo)
         overlay = drawn.result()
@@ -151,7 +152,7 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
         )
     except RenderError as error:
         return Outcome(report, alignment, None, error, tuple(written))
-    report = aligned_report(job.photo, alignment, made)
+    report = report | {"render": render_report(made)}
     _write_report(job, report)
     return Outcome(report, alignment, None, None, (*written, *pictures))
 

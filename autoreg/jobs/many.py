@@ -82,4 +82,7 @@ def _run(job: Job) -> Run:
         outcome = run_job(job, Listener(note=notes.append, doing=lambda text: None))
     except AutoregError as error:
         return Run(job, None, error, tuple(notes))
+    except (ValueError, OSError) as error:
+        # What the command finds wrong with its options before it runs, or a disk that is full.
+        return Run(job, None, InputError(str(error)), tuple(notes))
     return Run(job, outcome, None, tuple(notes))

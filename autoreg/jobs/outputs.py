@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -65,15 +66,34 @@ RESULT_NAMES = (
 )
 
 
+def results_in(folder: Path) -> list[Path]:
+    """All that a run writes into a folder, or takes away from it."""
+    # Meshes and pictures of a scene's objects are named after them.
+    objects = [*folder.glob("scene-thing_*.inc"), *folder.glob("scene-thing_*.png")]
+    return [folder / "alignment.json", *(folder / name for name in RESULT_NAMES), *objects]
+
+
+def kept_apart(inputs: Iterable[Path | None], outputs: Iterable[Path]) -> None:
+    """Nothing, if no file that is read would be written over.
+
+    Raises:
+        InputError: one would be.
+    """
+    there = [path for path in outputs if path.exists()]
+    for given in inputs:
+        if given is None or not given.exists():
+            continue
+        if any(given.samefile(path) for path in there):
+            raise InputError(f"{given} would be written over by the results; give another folder with -o")
+
+
 def clear_results(folder: Path) -> None:
     """Take away an earlier run's results, so that a folder never shows two runs at once.
 
     Only in a folder that holds an alignment.json: any other is not known to be ours.
     """
-    report = folder / "alignment.json"
+    report, *others = results_in(folder)
     if report.is_file():
-        # Meshes and pictures of a scene's objects are named after them.
-        objects = [*folder.glob("scene-thing_*.inc"), *folder.glob("scene-thing_*.png")]
-        for path in (*(folder / name for name in RESULT_NAMES), *objects):
+        for path in others:
             path.unlink(missing_ok=True)
         report.unlink()

@@ -81,25 +81,11 @@ def _draw_lattice(drawn: UInt8[np.ndarray, "h w 3"], view: View, alignment: Alig
 def _used_segments(view: View, alignment: Alignment) -> Float[np.ndarray, "n 2 2"]:
     """The fitted joints, on the ground, between the ends at which they were seen.
 
-    Not the line between the seen ends: it is the fit that is drawn, for the eye to compare with the photo.
+    They are those of the fit, for the eye to compare with the photo.
     """
-    lattice = alignment.lattice
-    found: list[np.ndarray] = []
-    for joint in alignment.joints:
-        ends = view.ground_under(joint.ends_px)
-        if not np.isfinite(ends).all():
-            continue
-        across = 1 if joint.family == "x" else 0
-        if across == 1:
-            ends[:, 1] = joint.index * lattice.spacing_y
-        elif lattice.spacing_x is not None:
-            # A cross joint of a running bond lies at a place that its row moves.
-            row = np.floor(ends[:, 1].mean() / lattice.spacing_y) if lattice.shift else 0.0
-            moved = row * (lattice.shift or 0.0) * lattice.spacing_x
-            place = np.round((ends[:, 0].mean() - moved) / lattice.spacing_x) * lattice.spacing_x + moved
-            ends[:, 0] = place
-        found.append(ends)
-    return np.array(found).reshape(-1, 2, 2)
+    ends_px = np.array([joint.ends_px for joint in alignment.joints]).reshape(-1, 2)
+    ends = view.ground_under(ends_px).reshape(-1, 2, 2)
+    return ends[np.isfinite(ends).all((1, 2))]
 
 
 def _spacing(

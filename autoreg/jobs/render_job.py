@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,7 +17,7 @@ from autoreg.errors import InputError, RenderError
 from autoreg.formats.exif import read_exif
 from autoreg.image import load_photo
 from autoreg.jobs.alignment_file import SavedAlignment, read_alignment
-from autoreg.jobs.outputs import usable_folder, write_png, write_whole
+from autoreg.jobs.outputs import kept_apart, results_in, usable_folder, write_png, write_whole
 from autoreg.jobs.report import RenderReport, Report, render_report, report_text
 from autoreg.rendering.demo import demo_objects
 from autoreg.rendering.depth_of_field import Focus, blur_px
@@ -182,6 +183,8 @@ def run_render(
     folder = usable_folder(job.folder or job.alignment.parent)
     tell("reading the photo")
     path, colour = _photo_of(job, saved)
+    # The report alone is read and written.
+    kept_apart((path, job.wish.scene), results_in(folder)[1:])
     plan = make_plan(job.wish, scene, saved.alignment, colour, path)
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -214,19 +217,8 @@ def _finished(
 
 
 def _photo_of(job: RenderJob, saved: SavedAlignment) -> tuple[Path, UInt8[np.ndarray, "h w 3"]]:
-    """The photo that was aligned, by the path in the report: from here, or from beside the report."""
-    if job.photo is not None:
-        path = job.photo
-    else:
-        places = [
-            saved.photo,
-            job.alignment.parent / saved.photo,
-            job.alignment.parent.parent / saved.photo.name,
-        ]
-        found = [place for place in places if place.is_file()]
-        if not found:
-            raise InputError(f"the photo {saved.photo} is not there any more; say where it is with --photo")
-        path = found[0]
+    """The photo that was given, or the one that was aligned."""
+    path = job.photo or _aligned_photo(job.alignment, saved)
     photo = load_photo(path)
     wanted = (saved.alignment.width, saved.alignment.height)
     if (photo.width, photo.height) != wanted:
@@ -235,6 +227,28 @@ def _photo_of(job: RenderJob, saved: SavedAlignment) -> tuple[Path, UInt8[np.nda
             "aligned; give the same photo with --photo"
         )
     return path, photo.colour()
+
+
+def _aligned_photo(alignment: Path, saved: SavedAlignment) -> Path:
+    """The photo that was aligned, by its path in the report: from here, or from beside the report.
+
+    Raises:
+        InputError: it is not there, or what is there is another picture of that name.
+    """
+    beside = alignment.parent
+    places = (saved.photo, beside / saved.photo, beside.parent / saved.photo.name)
+    found = [place for place in places if place.is_file()]
+    if not found:
+        raise InputError(f"the photo {saved.photo} is not there any more; say where it is with --photo")
+    if saved.sha256 is None:
+        return found[0]
+    for place in found:
+        if hashlib.sha256(place.read_bytes()).hexdigest() == saved.sha256:
+            return place
+    raise InputError(
+        f"{found[0]} is not the photo that was aligned, or it has been changed since; give the one that is "
+        "meant with --photo"
+    )
 
 
 def _focus(

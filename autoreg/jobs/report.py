@@ -45,14 +45,23 @@ class RenderReport:
     sun: Sun | None = None
 
 
-def aligned_report(photo: Path, alignment: Alignment, render: RenderReport | None) -> Report:
-    """The report on an aligned photo."""
+def aligned_report(
+    photo: Path, alignment: Alignment, render: RenderReport | None, *, sha256: str | None = None
+) -> Report:
+    """The report on an aligned photo.
+
+    Args:
+        photo: the photo's path as it was given.
+        alignment: what was found.
+        render: what was rendered, if anything.
+        sha256: digest of the photo's file, by which a later render knows it again.
+    """
     camera, lattice, pose = alignment.camera, alignment.lattice, alignment.pose
     return {
         "schema_version": SCHEMA_VERSION,
         "status": "aligned",
         "reason": None,
-        "image": _image(photo, alignment.width, alignment.height),
+        "image": _image(photo, alignment.width, alignment.height) | {"sha256": sha256},
         "camera": _camera(camera.camera, camera.source)
         | {
             "consistent": camera.consistent,

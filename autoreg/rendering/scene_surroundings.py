@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from autoreg.rendering.scene_words import number, vector
 from autoreg.rendering.staging import Lamps, Staging
@@ -49,7 +48,6 @@ light_source {{ Far*To_Sun rgb Exposure*Sun
 def surroundings_text(name: str, view: View, staging: Staging) -> str:
     """The photo behind everything and on the ground, and the sky that mirrors show."""
     far = 1e3 * max(1.0, abs(float(view.eye[2])))
-    centre, radius = shadow_disc(staging)
     return f"""
 // --- Photo: far behind everything, and where shadows can fall also on the ground -----------------------
 #macro Backdrop()
@@ -65,8 +63,14 @@ def surroundings_text(name: str, view: View, staging: Staging) -> str:
     matrix <S*R_.x, S*R_.y, S*R_.z, S*U_.x, S*U_.y, S*U_.z, S*D_.x, S*D_.y, S*D_.z, P_.x, P_.y, P_.z>
   }}
 #end
-// As far as the shadows of the objects below reach; make it larger for larger ones of your own.
-#macro Ground_Disc() disc {{ {vector(centre)}, z, {number(radius)} #end
+// As far as the shadows of all that is Staged reach.
+#macro Ground_Disc()
+  #local Low_ = min_extent(Staged);
+  #local High_ = max_extent(Staged);
+  #local Wide_ = <High_.x - Low_.x, High_.y - Low_.y, 0>;
+  disc {{ <(Low_.x + High_.x)/2, (Low_.y + High_.y)/2, 0>, z,
+    vlength(Wide_)/2 + {number(_shadow_per_height(staging.lamps))}*max(0, High_.z) + 1e-3
+#end
 // The photo thrown from the camera onto the ground: where all the light arrives it shows as it is.
 #macro Photo_Ground()
   #local E1 = Eye.x; #local E2 = Eye.y; #local E3 = Eye.z;
@@ -103,15 +107,7 @@ def surroundings_text(name: str, view: View, staging: Staging) -> str:
 """
 
 
-def shadow_disc(staging: Staging) -> tuple[Float[np.ndarray, "3"], float]:
-    """Centre and radius of a piece of ground that holds all shadows."""
-    corners = np.concatenate([np.zeros((1, 3)), *(s.corners for s in staging.solids)])
-    if staging.solids:
-        corners = corners[1:]
-    centre = 0.5 * (corners.min(0) + corners.max(0)) * [1.0, 1.0, 0.0]
-    lamps = staging.lamps
+def _shadow_per_height(lamps: Lamps) -> float:
+    """How far the longest shadow on level ground reaches, by the height of what casts it."""
     lowest = min(float(lamps.to_sun[2]), float(lamps.to_sky[:, 2].min()))
-    reach = np.linalg.norm(corners[:, :2] - centre[:2], axis=1) + np.maximum(corners[:, 2], 0.0) / np.tan(
-        np.arcsin(lowest)
-    )
-    return centre, max(1.05 * float(reach.max()), 1e-3)
+    return 1.0 / float(np.tan(np.arcsin(lowest)))
