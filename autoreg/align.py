@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from autoreg.alignment import Alignment, CameraReport, CameraSource, JointFit, Pose, Residual
@@ -63,8 +65,8 @@ def align(
             photo's own joints.
         slab: sides of a slab in metres, in either order.
         camera_height: height of the camera above the paving in metres, instead of `slab`.
-        exif_focal_px: focal length in pixels that the photo's EXIF data claim. Where it shows no paving, the
-            photo's own joints are asked for another.
+        exif_focal_px: focal length in pixels that the photo's EXIF data claim. Where the photo's own joints
+            contradict it, theirs is taken.
 
     Raises:
         Refusal: the photo does not carry the answer; the reason is in its code and message.
@@ -93,21 +95,53 @@ def align_seen(
     picture = sight.gray.astype(np.float32)
     height, width = picture.shape
     _check_arguments(camera, width, height, slab, camera_height)
-    source: CameraSource = "file" if camera is not None else "photo"
     if camera is None and exif_focal_px is not None:
-        camera, source = Camera.from_focal(width, height, exif_focal_px), "exif"
-    warnings: tuple[str, ...] = ()
+        return _by_exif(sight, picture, exif_focal_px, slab, camera_height)
+    source: CameraSource = "photo" if camera is None else "file"
     try:
         laid = _laid(sight, picture, camera, source, slab)
     except Refusal as refusal:
-        if source == "exif" and refusal.code not in OWN_REASONS:
-            laid = _laid_without_exif(sight, picture, slab, refusal)
-            source, warnings = "photo", (exif_not_followed(exif_focal_px, laid.fit.camera),)
-        else:
-            # What a wrong camera hides may look like anything.
-            asked = source == "file" and refusal.code not in OWN_REASONS
-            raise (_other_camera(sight, camera) if asked else None) or refusal from None
-    return _concluded(picture, laid, source, slab, camera_height, warnings)
+        # What a wrong camera hides may look like anything.
+        asked = source == "file" and refusal.code not in OWN_REASONS
+        raise (_other_camera(sight, camera) if asked else None) or refusal from None
+    return _concluded(picture, laid, source, slab, camera_height)
+
+
+def _by_exif(
+    sight: Sight,
+    picture: np.ndarray,
+    focal_px: float,
+    slab: tuple[float, float] | None,
+    camera_height: float | None,
+) -> Alignment:
+    """The answer by the focal length of EXIF, or by the joints' own where they contradict it.
+
+    Raises:
+        Refusal: neither shows any paving; what EXIF's refuses is told.
+    """
+    height, width = picture.shape
+
+    def by(camera: Camera | None, source: CameraSource) -> Alignment:
+        laid = _laid(sight, picture, camera, source, slab)
+        return _concluded(picture, laid, source, slab, camera_height)
+
+    try:
+        found = by(Camera.from_focal(width, height, focal_px), "exif")
+    except Refusal as refusal:
+        if refusal.code in OWN_REASONS:
+            raise
+        try:
+            own = by(None, "photo")
+        except Refusal:
+            raise refusal from None
+    else:
+        if found.camera.consistent is not False:
+            return found
+        try:
+            own = by(None, "photo")
+        except Refusal:
+            return found
+    return replace(own, warnings=(exif_not_followed(focal_px, own.camera.camera), *own.warnings))
 
 
 def _laid(
@@ -144,20 +178,6 @@ def _laid(
     if off is not None:
         raise _other_camera(sight, given) or off
     return laid
-
-
-def _laid_without_exif(
-    sight: Sight, picture: np.ndarray, slab: tuple[float, float] | None, refusal: Refusal
-) -> Laid:
-    """The paving by a focal length of its own, where that of EXIF, which crops and zooms falsify, shows none.
-
-    Raises:
-        Refusal: there is none either way; the first `refusal` says why.
-    """
-    try:
-        return _laid(sight, picture, None, "photo", slab)
-    except Refusal:
-        raise refusal from None
 
 
 def _found(sight: Sight, camera: Camera | None, slab: tuple[float, float] | None) -> Paving | Rows:
@@ -217,7 +237,6 @@ def _concluded(
     source: CameraSource,
     slab: tuple[float, float] | None,
     camera_height: float | None,
-    warnings: tuple[str, ...],
 ) -> Alignment:
     """The answer in the canonical frame and in metres."""
     fit, settled, squared = laid.fit, laid.settled, laid.squared
@@ -257,7 +276,7 @@ def _concluded(
         lattice=describe_lattice(fit, settled.presence, frame, scale),
         residual=measure_residual(fit),
         joints=fitted_joints(fit, frame),
-        warnings=(*warnings, *unsure(answer, source, slab_told=slab is not None)),
+        warnings=unsure(answer, source, slab_told=slab is not None),
     )
 
 

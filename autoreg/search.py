@@ -10,6 +10,7 @@ import numpy as np
 from autoreg.answer.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
+from autoreg.ground.directions import camera_rays, strongest_share
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal, like_wall
 from autoreg.ground.sight import Looks, Sight
@@ -33,6 +34,8 @@ from autoreg.solve.freedom import Free
 HYPOTHESES, HYPOTHESES_NO_FOCAL, MOST_PLANES = 8, 12, 3
 # Where none of them has a lattice, so many other focal lengths of the clearest one are looked into.
 MOST_FOCALS = 5
+# Fewer segments than this do not tell that all run in one direction.
+FEWEST_SEGMENTS = 20
 # What is known of an uncalibrated camera's first radial distortion coefficient, which curved joints tell.
 RADIAL_SIGMA = 0.1
 
@@ -91,7 +94,11 @@ def find_paving(
                 fields = _fields_of_rows(looks, segments, sight.size, ranked)
                 plain = suitable(_by_cross_joints(looks, fields, free))
                 if not plain or plain[0].margin_nats <= 0:
-                    return _rows_alone(fields, best)
+                    rows = _rows_alone(fields)
+                    if rows is not None:
+                        return rows
+                    usual = camera or Camera.from_focal(*sight.size, float(max(sight.size)))
+                    raise _no_paving(best, fields, segments, usual)
             best = plain
     return _unrivalled(best)
 
@@ -105,8 +112,7 @@ def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
     _, hypotheses = _hypotheses(segments, sight.size, camera)
     planes = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
     fields = _fields_of_rows(looks, segments, sight.size, planes)
-    rows = _clearest_alone(fields)
-    return rows if rows is not None and rows.margin_nats > 0 else None
+    return _rows_alone(fields)
 
 
 def _by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tuple[Paving, ...]:
@@ -197,13 +203,19 @@ def _clearest_alone(fields: list[tuple[Rows, PlaneCombs]]) -> Rows | None:
     return next((rows for rows, _ in fields if not rows.in_columns), None)
 
 
-def _rows_alone(fields: list[tuple[Rows, PlaneCombs]], rejected: tuple[Paving, ...]) -> Rows:
-    """The clearest of these rows, where no lattice does better than chance.
-
-    Raises:
-        Refusal: they do no better than chance either.
-    """
+def _rows_alone(fields: list[tuple[Rows, PlaneCombs]]) -> Rows | None:
+    """The clearest of these rows, if they do better than chance."""
     rows = _clearest_alone(fields)
-    if rows is None or rows.margin_nats <= 0:
-        raise no_lattice(rejected[0] if rejected else None, rows)
-    return rows
+    return rows if rows is not None and rows.margin_nats > 0 else None
+
+
+def _no_paving(
+    rejected: tuple[Paving, ...],
+    fields: list[tuple[Rows, PlaneCombs]],
+    segments: Segments,
+    camera: Camera,
+) -> Refusal:
+    """The refusal of a photo in which neither a lattice nor rows do better than chance."""
+    # How many edges run in one direction is about the same by any focal length.
+    one_way = strongest_share(camera_rays(segments, camera)) if len(segments) >= FEWEST_SEGMENTS else 0.0
+    return no_lattice(rejected[0] if rejected else None, _clearest_alone(fields), one_way)

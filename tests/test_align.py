@@ -136,7 +136,7 @@ def test_without_a_camera_the_photos_own_joints_tell_its_focal_length():
     assert angle_deg < 1.5
 
 
-@pytest.mark.parametrize("factor", [0.6, 2.5])
+@pytest.mark.parametrize("factor", [0.6, 1.4, 2.5])
 def test_an_exif_that_a_crop_has_falsified_is_not_followed(factor: float):
     photo = drawn("stack")
     found = autoreg.align(photo.pixels, None, exif_focal_px=factor * photo.camera.fx)
@@ -252,3 +252,14 @@ def test_ray_traced_scenes_are_aligned(name: str):
     angle_deg, crossing_px = miss_of(found, told.photo)
     assert angle_deg < 0.1
     assert crossing_px < 1.5
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["camera", "no camera"])
+def test_boards_are_refused_for_having_one_direction(told: bool):
+    # Far from where any of them ends.
+    pose = Rigid(STACK.cam_from_ground.R, STACK.cam_from_ground.apply(np.array([250.0, 0.0, 0.0])))
+    photo = render_paving(replace(STACK, spacing_m=(500.0, 0.15), cam_from_ground=pose))
+    with pytest.raises(Refusal) as refusal:
+        autoreg.align(photo.pixels, photo.camera if told else None)
+    assert refusal.value.code == "one_direction"
+    assert "joints in both directions" in refusal.value.message

@@ -195,7 +195,7 @@ def test_another_photo_of_the_same_name_is_not_taken_for_the_aligned_one(folder,
     assert path.samefile(folder / "photo.png")
     assert (colour == photo_for(CAMERA)).all()
     (folder / "photo.png").unlink()
-    with pytest.raises(InputError, match="not the photo that was aligned.*--photo"):
+    with pytest.raises(InputError, match=r"not the photo that was aligned.*--photo"):
         render_job._photo_of(render_job.RenderJob(Path("../out/alignment.json"), WISH), wanted)
 
 
@@ -236,9 +236,10 @@ def test_a_damaged_alignment_is_said_to_be(folder, where, value):
     assert "damaged" in done.stderr
 
 
-@pytest.mark.parametrize(
-    "text", ['{"schema_version": 1, "status": "refused", "reason": "gravel"}', "[" * 9999]
-)
+REFUSED = '{"schema_version": 1, "status": "refused", "reason": "gravel"}'
+
+
+@pytest.mark.parametrize("text", [REFUSED, "[" * 9999])
 def test_nor_does_any_other_text_end_in_a_traceback(folder, text):
     Path("out/alignment.json").write_text(text)
     assert run().exit_code == 2

@@ -218,11 +218,11 @@ def _row_width(slab: tuple[float, float], longer: bool | None) -> float:
     )
 
 
-def exif_not_followed(exif_focal_px: float | None, own: Camera) -> str:
-    """The warning of a photo that shows no paving by the focal length that its EXIF claims."""
+def exif_not_followed(exif_focal_px: float, own: Camera) -> str:
+    """The warning of a photo whose joints contradict the focal length that its EXIF claims."""
     return (
-        f"by the focal length of the photo's EXIF, {exif_focal_px or 0.0:.0f} px, no paving is seen; that of its "
-        f"own joints, {own.fx:.0f} px, was taken instead, as for a photo that was cropped since"
+        f"the photo's joints contradict the focal length of its EXIF, {exif_focal_px:.0f} px, as after "
+        f"a crop: theirs, {own.fx:.0f} px, was taken"
     )
 
 

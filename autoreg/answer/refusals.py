@@ -40,10 +40,15 @@ _OTHER_CAMERA = (
     "the camera file belongs to another camera, zoom or picture size: check it with its calibration, "
     "or leave --camera out"
 )
+# Edges of which more than this share runs in one direction are of no joints in two.
+ONE_WAY = 0.9
 
 
-def no_lattice(best: Paving | None, rows: Rows | None) -> Refusal:
-    """The refusal of a photo whose best lattice, and whose best rows, explain it no better than chance."""
+def no_lattice(best: Paving | None, rows: Rows | None, one_way: float = 0.0) -> Refusal:
+    """The refusal of a photo whose best lattice, and whose best rows, explain it no better than chance.
+
+    `one_way` is the share of all segments' length that runs in one direction, where that was looked at.
+    """
     single = 0.5 * TESTED_NATS + FALSE_ALARM_NATS
     strongest = max(
         (e for e in (*(best.evidence_nats if best else ()), rows.paving.evidence_nats[0] if rows else 0.0)),
@@ -56,6 +61,14 @@ def no_lattice(best: Paving | None, rows: Rows | None) -> Refusal:
             "the pose is not determined; take a photo that shows joints in both directions",
             measured=round(min(best.evidence_nats) if best else 0.0, 2),
             limit=round(0.5 * TESTED_NATS, 2),
+        )
+    if one_way > ONE_WAY:
+        return Refusal(
+            "one_direction",
+            f"{100 * one_way:.0f} % of the edges in this picture run in one direction, as boards do, "
+            "so the pose is not determined; take a photo that shows joints in both directions",
+            measured=round(one_way, 3),
+            limit=ONE_WAY,
         )
     evidence = sum(best.evidence_nats) if best else 0.0
     if best is not None and len(best.presence.p) < FEW_SIDES and best.margin_nats > -0.5 * TESTED_NATS:

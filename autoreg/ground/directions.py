@@ -158,6 +158,12 @@ def single_directions(
     return peaks[_varied(agreement(rays, peaks) * rays.weight, count)]
 
 
+def strongest_share(rays: SegmentRays, seeds: int = 80) -> float:
+    """Share of the segments' length that the best supported direction explains, of the first as seeds."""
+    found = single_directions(rays, np.arange(min(len(rays), seeds)), count=1, apart_rad=np.radians(2.0))
+    return float(agreement(rays, found[0]) @ rays.weight / rays.weight.sum()) if len(found) else 0.0
+
+
 def _votes(rays: SegmentRays, dirs: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
     """Length of the rays that agree with each direction, by their `agreement`, in single precision."""
     votes = np.empty(len(dirs), np.float32)

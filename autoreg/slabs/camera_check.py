@@ -124,7 +124,7 @@ def check_camera(
                 break
         if chi_square >= CONTRADICTION:
             # What a camera like the given one does as well by joints that are measured anew is not its fault.
-            alike = [told for told in tried if _as_good(told, fit, both)]
+            alike = [t for t in tried if t.chi_square < CONTRADICTION and _as_good(t, fit, both)]
             fit, both, chi_square, shift = min(
                 alike, key=lambda told: told.chi_square, default=_Told(fit, both, chi_square, shift)
             )
