@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from autoreg.view import Window
+
+# Pixels that are worked on at a time: bounds the memory, whatever the photo's size.
+_BAND_PIXELS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -43,15 +47,17 @@ def layer_picture(layer: Layer, width: int, height: int) -> UInt8[np.ndarray, "h
     A shadow is black with the alpha of the light that it takes. Laid over the photo in linear light,
     the picture gives the composite.
     """
-    coverage = np.clip(1.0 - layer.transmission, 0.0, 1.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        straight = np.where(coverage[..., None] > 0, layer.light / coverage[..., None], 0.0)
     picture = np.zeros((height, width, 4), np.uint8)
     w = layer.window
-    part = picture[w.y : w.y + w.height, w.x : w.x + w.width]
-    part[..., :3] = srgb_from_linear(straight)[..., ::-1]
-    part[..., 3] = np.round(255.0 * coverage)
-    part[part[..., 3] == 0] = 0
+    whole = picture[w.y : w.y + w.height, w.x : w.x + w.width]
+    for rows in _bands(w):
+        part = whole[rows]
+        coverage = np.clip(1.0 - layer.transmission[rows], 0.0, 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            straight = np.where(coverage[..., None] > 0, layer.light[rows] / coverage[..., None], 0.0)
+        part[..., :3] = srgb_from_linear(straight)[..., ::-1]
+        part[..., 3] = np.round(255.0 * coverage)
+        part[part[..., 3] == 0] = 0
     return picture
 
 
@@ -63,10 +69,18 @@ def lay_over(
     Only the window is worked on, and the layer is the 8-bit one that is written, so that the two files
     cannot disagree.
     """
-    rows, columns = slice(window.y, window.y + window.height), slice(window.x, window.x + window.width)
-    over, under = picture[rows, columns], photo[rows, columns]
-    alpha = over[..., 3:] / 255.0
-    mixed = linear_from_srgb(over[..., :3]) * alpha + linear_from_srgb(under) * (1.0 - alpha)
-    composite = photo.copy()
-    composite[rows, columns] = np.where(over[..., 3:] > 0, srgb_from_linear(mixed), under)
+    composite, columns = photo.copy(), slice(window.x, window.x + window.width)
+    for band in _bands(window):
+        rows = slice(window.y + band.start, window.y + band.stop)
+        over, under = picture[rows, columns], photo[rows, columns]
+        alpha = over[..., 3:] / 255.0
+        mixed = linear_from_srgb(over[..., :3]) * alpha + linear_from_srgb(under) * (1.0 - alpha)
+        composite[rows, columns] = np.where(over[..., 3:] > 0, srgb_from_linear(mixed), under)
     return composite
+
+
+def _bands(window: Window) -> Iterator[slice]:
+    """Rows of a window, so many at a time that little memory is taken."""
+    rows = max(1, _BAND_PIXELS // max(window.width, 1))
+    for top in range(0, window.height, rows):
+        yield slice(top, min(top + rows, window.height))

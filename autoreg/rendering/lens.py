@@ -80,7 +80,7 @@ def bend(
     width, height = size or (window.width, window.height)
     if not view.camera.has_distortion and planes.shape[:2] == (height, width):
         return planes
-    bent = np.empty((height, width, planes.shape[-1]))
+    bent = np.empty((height, width, planes.shape[-1]), planes.dtype)
     # Pixel edges scale, hence the half pixels.
     u = window.x - 0.5 + (np.arange(width) + 0.5) * window.width / width
     v = window.y - 0.5 + (np.arange(height) + 0.5) * window.height / height

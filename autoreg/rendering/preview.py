@@ -49,7 +49,7 @@ class PreviewEngine:
     def draw(self, plan: Plan, straight: Window) -> Layer:
         """The solids, the joints if wanted, and the shadows, in a window of the straight picture."""
         width, height = straight.width, straight.height
-        light, transmission = np.zeros((height, width, 3)), np.ones((height, width))
+        light, transmission = np.zeros((height, width, 3), np.float32), np.ones((height, width), np.float32)
         layer = Layer(straight, light, transmission)
         if not width * height:
             return layer

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from autoreg.alignment import Alignment
 from autoreg.errors import RenderError
@@ -84,9 +84,7 @@ def render(engine: Engine, plan: Plan, photo: UInt8[np.ndarray, "h w 3"]) -> Ren
     view = plan.view
     window = staged_window(plan)
     straight = straight_window(view, window)
-    drawn = engine.draw(plan, straight)
-    planes = np.concatenate([drawn.light, drawn.transmission[..., None]], -1)
-    planes = bend(planes, view, straight, window, (0.0, 0.0, 0.0, 1.0))
+    planes = bend(_planes_of(engine.draw(plan, straight)), view, straight, window, (0.0, 0.0, 0.0, 1.0))
     layer = Layer(window, planes[..., :3], planes[..., 3])
     check = check_render(engine, plan)
     if check is not None and not check.rms_px <= MOST_RMS_PX:
@@ -97,6 +95,13 @@ def render(engine: Engine, plan: Plan, photo: UInt8[np.ndarray, "h w 3"]) -> Ren
         )
     picture = layer_picture(layer, view.camera.width, view.camera.height)
     return Rendered(engine.name, picture, lay_over(picture, photo, window), check)
+
+
+def _planes_of(layer: Layer) -> Float[np.ndarray, "h w 4"]:
+    """Light and transmission in one array; eight bits come of them, so that single precision is enough."""
+    planes = np.empty((*layer.transmission.shape, 4), np.float32)
+    planes[..., :3], planes[..., 3] = layer.light, layer.transmission
+    return planes
 
 
 def staged_window(plan: Plan) -> Window:
