@@ -317,7 +317,16 @@ def _check_arguments(
         raise ValueError(f"camera: is for {size} pixels, the photo has {width}x{height}")
     if slab is not None and camera_height is not None:
         raise ValueError("slab, camera_height: give one of them, both set the scale")
-    if slab is not None and not all(np.isfinite(s) and s > 0 for s in slab):
-        raise ValueError(f"slab: sides must be positive lengths in metres, got {slab}")
+    if slab is not None and not _two_lengths(slab):
+        raise ValueError(f"slab: two positive lengths in metres are wanted, such as (0.6, 0.4), got {slab!r}")
     if camera_height is not None and not (np.isfinite(camera_height) and camera_height > 0):
         raise ValueError(f"camera_height: must be a positive length in metres, got {camera_height}")
+
+
+def _two_lengths(slab: object) -> bool:
+    """Whether a caller's slab is what its type says."""
+    try:
+        sides = np.asarray(slab, float)
+    except (TypeError, ValueError):
+        return False
+    return sides.shape == (2,) and bool((np.isfinite(sides) & (sides > 0)).all())

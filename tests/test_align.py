@@ -263,3 +263,10 @@ def test_boards_are_refused_for_having_one_direction(told: bool):
         autoreg.align(photo.pixels, photo.camera if told else None)
     assert refusal.value.code == "one_direction"
     assert "joints in both directions" in refusal.value.message
+
+
+@pytest.mark.parametrize("slab", [(0.6, -0.4), (0.6, float("nan")), (0.0, 0.4)])
+def test_a_slab_has_two_positive_sides(slab: tuple[float, float]):
+    photo = drawn("stack")
+    with pytest.raises(ValueError, match=r"slab: two positive lengths"):
+        autoreg.align(photo.pixels, photo.camera, slab=slab)
