@@ -125,22 +125,21 @@ def _by_exif(
         laid = _laid(sight, picture, camera, source, slab)
         return _concluded(picture, laid, source, slab, camera_height)
 
+    found: Alignment | Refusal
     try:
         found = by(Camera.from_focal(width, height, focal_px), "exif")
+        if found.camera.consistent is not False:
+            return found
     except Refusal as refusal:
         if refusal.code in OWN_REASONS:
             raise
-        try:
-            own = by(None, "photo")
-        except Refusal:
-            raise refusal from None
-    else:
-        if found.camera.consistent is not False:
-            return found
-        try:
-            own = by(None, "photo")
-        except Refusal:
-            return found
+        found = refusal
+    try:
+        own = by(None, "photo")
+    except Refusal:
+        if isinstance(found, Refusal):
+            raise found from None
+        return found
     return replace(own, warnings=(exif_not_followed(focal_px, own.camera.camera), *own.warnings))
 
 

@@ -27,6 +27,13 @@ class CameraReport:
     focal_from_photo_sigma_px: float | None
 
 
+def height_by_motion(cam_from_ground: Rigid) -> Float[np.ndarray, "6"]:
+    """Change of the camera's height by a small motion (rotation vector, translation) on its side."""
+    up, t = cam_from_ground.R[:, 2], cam_from_ground.t
+    # The height is -up . t, and a small turn w moves up by w x up.
+    return -np.r_[np.cross(up, t), up]
+
+
 @dataclass(frozen=True)
 class Pose:
     """`cam_from_ground` with the covariance of (rotation vector in radians, translation in metres).
@@ -45,9 +52,7 @@ class Pose:
     @property
     def sigma_height(self) -> float:
         """Standard deviation of the camera's height above the ground, in metres."""
-        up, t = self.cam_from_ground.R[:, 2], self.cam_from_ground.t
-        # The height is -up . t, and a small turn w moves up by w x up.
-        by_motion = -np.r_[np.cross(up, t), up]
+        by_motion = height_by_motion(self.cam_from_ground)
         # It is known exactly where the scale was taken from it.
         return float(np.sqrt(max(by_motion @ self.covariance @ by_motion, 0.0)))
 

@@ -197,11 +197,11 @@ def fit_to_photo(
         notes.append("cropped to x,y,w,h = " + ",".join(map(str, crop)))
     fits = same_aspect(camera.width, camera.height, width, height)
     fits_turned = same_aspect(camera.height, camera.width, width, height)
-    on_its_side = photo_turned % 2 == 1
-    if not fits and not (on_its_side and fits_turned):
+    stored = fits_turned if photo_turned % 2 else fits
+    if not (fits or stored):
         raise _size_contradiction(camera, width, height, cropped=crop is not None, transposed=fits_turned)
     # It is of the stored photos, which lie as the sensor does, unless its size tells that it is upright.
-    if not on_its_side or fits_turned:
+    if stored:
         if photo_mirrored:
             camera = camera.mirrored()
             notes.append("mirrored as the photo's EXIF orientation says")

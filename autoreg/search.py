@@ -97,8 +97,7 @@ def find_paving(
                     rows = _rows_alone(fields)
                     if rows is not None:
                         return rows
-                    usual = camera or Camera.from_focal(*sight.size, float(max(sight.size)))
-                    raise _no_paving(best, fields, segments, usual)
+                    raise _no_paving(sight, camera, best, fields)
             best = plain
     return _unrivalled(best)
 
@@ -210,12 +209,15 @@ def _rows_alone(fields: list[tuple[Rows, PlaneCombs]]) -> Rows | None:
 
 
 def _no_paving(
+    sight: Sight,
+    camera: Camera | None,
     rejected: tuple[Paving, ...],
     fields: list[tuple[Rows, PlaneCombs]],
-    segments: Segments,
-    camera: Camera,
 ) -> Refusal:
     """The refusal of a photo in which neither a lattice nor rows do better than chance."""
-    # How many edges run in one direction is about the same by any focal length.
-    one_way = strongest_share(camera_rays(segments, camera)) if len(segments) >= FEWEST_SEGMENTS else 0.0
+    one_way = 0.0
+    if len(sight.segments) >= FEWEST_SEGMENTS:
+        # How many edges run in one direction is about the same by any focal length.
+        usual = camera or Camera.from_focal(*sight.size, float(max(sight.size)))
+        one_way = strongest_share(camera_rays(sight.segments, usual))
     return no_lattice(rejected[0] if rejected else None, _clearest_alone(fields), one_way)

@@ -49,6 +49,15 @@ def test_calibrate_writes_three_camera_files_and_a_report(photos, tmp_path):
     assert done.stdout == ""
 
 
+def test_calibrate_does_not_write_over_a_photo_that_a_slip_gave_to_o(photos, tmp_path):
+    first = tmp_path / "0.png"
+    first.write_bytes((photos / "0.png").read_bytes())
+    done = run("calibrate", "-o", first, *(photos / f"{k}.png" for k in range(1, 6)))
+    assert done.exit_code == 2
+    assert "no camera file" in done.stderr
+    assert first.read_bytes() == (photos / "0.png").read_bytes()
+
+
 def test_calibrate_json_prints_the_camera_file_and_nothing_else(photos, tmp_path):
     done = run("calibrate", photos, "--pattern", "9x6", "-o", tmp_path / "c.json", "--json")
     assert done.stdout == (tmp_path / "c.json").read_text()

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from autoreg.alignment import CameraSource, JointFit, Pose, Residual
+from autoreg.alignment import CameraSource, JointFit, Pose, Residual, height_by_motion
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
@@ -114,17 +114,21 @@ def describe_lattice(fit: Fit, presence: Presence, frame: Frame, scale: float) -
 
 def measure_residual(fit: Fit) -> Residual:
     """How far the photographed joints lie from the fitted ones."""
-    off = np.abs(fit.distances_px)
-    inlier = fit.usable & (off < 3.0 * fit.sigma_px)
-    near = off[inlier]
+    inlier = _inliers(fit)
+    near = np.abs(fit.distances_px[inlier])
     return Residual(
         rms_px=float(np.sqrt(np.mean(near**2))),
         median_px=float(np.median(near)),
         p95_px=float(np.quantile(near, 0.95)),
         joints=len(joints_of(fit.stations.take(np.flatnonzero(inlier)), fit.grid)[1]),
         samples=int(inlier.sum()),
-        inlier_fraction=float(inlier.sum() / len(off)),
+        inlier_fraction=float(inlier.mean()),
     )
+
+
+def _inliers(fit: Fit) -> Bool[np.ndarray, " n"]:
+    """Which stations carried the fit."""
+    return fit.usable & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
 
 
 def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
@@ -133,7 +137,7 @@ def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
     An unbroken joint is one entry; the cross joints of a running bond are one each, however short. Each lies
     on its line of the lattice, and ends where the last stretch of it ends that was measured.
     """
-    inlier = fit.usable & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
+    inlier = _inliers(fit)
     grid, pose = frame.grid(fit.grid), frame.pose(fit.cam_from_ground)
     stations, off = fit.stations.take(inlier), fit.distances_px[inlier]
     ground, half_length = stations.ground, stations.half_length
@@ -195,10 +199,8 @@ def scaled_covariance(
     """
     A = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
     if height_held:
-        # t' = scale t with scale = known / height, and height = -n t for the ground's normal n.
-        n, t = pose.R[:, 2], pose.t
-        shrinks = np.outer(t, np.r_[np.cross(n, t), n]) / float(-n @ t)
-        A[3:] += scale * shrinks
+        # The translation is scale t with scale = known / height.
+        A[3:] -= scale * np.outer(pose.t, height_by_motion(pose)) / float(pose.origin_in_a[2])
     return A @ covariance @ A.T
 
 

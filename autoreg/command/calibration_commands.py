@@ -133,7 +133,7 @@ def _calibrate(
             f"{output} is a folder; give the camera file's name, such as -o {output}/camera.json"
         )
     usable_folder(output.parent)
-    if output.is_file() and not output.read_bytes()[:64].lstrip().startswith(b"{"):
+    if output.is_file() and not _begins_as_json(output):
         raise InputError(
             f"{output} is there already and is no camera file of autoreg; give another name with -o, such as "
             "-o camera.json"
@@ -162,6 +162,11 @@ def _calibrate(
         tell(f"wrote {path}")
     if found.verdict.grade == "do not use":
         raise typer.Exit(Refusal.exit_code)
+
+
+def _begins_as_json(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(64).lstrip().startswith(b"{")
 
 
 @contextmanager

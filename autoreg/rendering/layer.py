@@ -50,7 +50,7 @@ def layer_picture(layer: Layer, width: int, height: int) -> UInt8[np.ndarray, "h
     picture = np.zeros((height, width, 4), np.uint8)
     w = layer.window
     whole = picture[w.y : w.y + w.height, w.x : w.x + w.width]
-    for rows in _bands(w):
+    for rows in bands(w.width, w.height):
         part = whole[rows]
         coverage = np.clip(1.0 - layer.transmission[rows], 0.0, 1.0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -70,7 +70,7 @@ def lay_over(
     cannot disagree.
     """
     composite, columns = photo.copy(), slice(window.x, window.x + window.width)
-    for band in _bands(window):
+    for band in bands(window.width, window.height):
         rows = slice(window.y + band.start, window.y + band.stop)
         over, under = picture[rows, columns], photo[rows, columns]
         alpha = over[..., 3:] / 255.0
@@ -79,8 +79,8 @@ def lay_over(
     return composite
 
 
-def _bands(window: Window) -> Iterator[slice]:
-    """Rows of a window, so many at a time that little memory is taken."""
-    rows = max(1, _BAND_PIXELS // max(window.width, 1))
-    for top in range(0, window.height, rows):
-        yield slice(top, min(top + rows, window.height))
+def bands(width: int, height: int) -> Iterator[slice]:
+    """The rows of a picture, so many at a time that what is done with them takes little memory."""
+    rows = max(1, _BAND_PIXELS // max(width, 1))
+    for top in range(0, height, rows):
+        yield slice(top, min(top + rows, height))

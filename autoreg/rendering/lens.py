@@ -8,12 +8,12 @@ from jaxtyping import Float, UInt8
 
 from autoreg.camera import Camera
 from autoreg.errors import RenderError
+from autoreg.rendering.layer import bands
 from autoreg.view import View, Window, window_around
 
 # No engine bends rays as a lens does: each draws the straight picture that holds all rays of the bent one.
 # Beyond this many pixels a lens is too wide for that.
 _MOST_PIXELS = 120_000_000
-_BAND_PIXELS = 1 << 18
 
 
 def straight_window(view: View, window: Window) -> Window:
@@ -85,11 +85,10 @@ def bend(
     u = window.x - 0.5 + (np.arange(width) + 0.5) * window.width / width
     v = window.y - 0.5 + (np.arange(height) + 0.5) * window.height / height
     scale = [planes.shape[1] / max(straight.width, 1), planes.shape[0] / max(straight.height, 1)]
-    rows = max(1, _BAND_PIXELS // max(width, 1))
-    for top in range(0, height, rows):
-        px = np.stack(np.meshgrid(u, v[top : top + rows]), -1)
+    for rows in bands(width, height):
+        px = np.stack(np.meshgrid(u, v[rows]), -1)
         at = (straight_pixels(view, px) - [straight.x, straight.y] + 0.5) * scale - 0.5
-        bent[top : top + rows] = _sampled(planes, at, np.array(outside))
+        bent[rows] = _sampled(planes, at, np.array(outside))
     return bent
 
 

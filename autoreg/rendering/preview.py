@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from autoreg.errors import InputError
 from autoreg.layout import lay_joints
 from autoreg.rendering.engine import Plan
-from autoreg.rendering.layer import Layer, linear_from_srgb
+from autoreg.rendering.layer import Layer, bands, linear_from_srgb
 from autoreg.rendering.lens import window_view
 from autoreg.rendering.raster import ZBuffer
 from autoreg.rendering.scene import drawn_joint_width
@@ -22,8 +22,6 @@ from autoreg.view import View, Window, window_around
 
 # Samples per pixel side: of the picture, and of the marks by which its camera is checked.
 _SAMPLES, _MARK_SAMPLES = 3, 16
-# Pixels drawn at a time: bounds the memory, whatever the photo's size.
-_BAND_PIXELS = 1 << 18
 # Finishes that POV-Ray lights without a lamp.
 _GLOWING = ("Luminous",)
 
@@ -59,10 +57,8 @@ class PreviewEngine:
         casting = [s.surface.corners for s in plan.staging.solids]
         shadows = _on_ground(np.concatenate([np.empty((0, 3, 3)), *casting]), lamps)
         kept = lamps.on_ground[1]
-        rows = max(1, _BAND_PIXELS // width)
-        for top in range(0, height, rows):
-            part = slice(top, min(top + rows, height))
-            buffer = ZBuffer(view, top, part.stop - top, _SAMPLES)
+        for part in bands(width, height):
+            buffer = ZBuffer(view, part.start, part.stop - part.start, _SAMPLES)
             for thing in painted:
                 buffer.draw(thing.surface.corners)
             hit = buffer.nearest >= 0
