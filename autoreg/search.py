@@ -69,17 +69,18 @@ def find_paving(
     def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
         return fitting(pavings) or pavings
 
-    def glanced(free: Free, hypotheses: list[Hypothesis]) -> tuple[Paving, ...]:
-        first = _at_a_glance(looks, hypotheses, free)
+    def glanced(segments: Segments, free: Free, hypotheses: list[Hypothesis]) -> tuple[Paving, ...]:
+        first = _at_a_glance(looks, segments, hypotheses, free)
         return () if first is None else fitting((first,))
 
     if camera is not None:
-        plain = glanced(*_hypotheses(sight.detection.coarse, sight.size, camera, walls=walls))
+        coarse = sight.detection.coarse
+        plain = glanced(coarse, *_hypotheses(coarse, sight.size, camera, walls=walls))
         if _certain(plain):
             return _unrivalled(plain)
     segments = sight.segments
     free, hypotheses = _hypotheses(segments, sight.size, camera, walls=walls)
-    best = glanced(free, hypotheses)
+    best = glanced(segments, free, hypotheses)
     if not _certain(best):
         ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
         for plane in ranked:
@@ -144,15 +145,15 @@ def _unrivalled(pavings: tuple[Paving, ...]) -> Paving:
 def other_camera(sight: Sight, camera: Camera) -> Refusal | None:
     """Why a camera is to blame where it shows no lattice: the joints clearly fit another one."""
     free, hypotheses = _hypotheses(sight.segments, sight.size, None)
-    other = _at_a_glance(sight.looks, hypotheses, free)
+    other = _at_a_glance(sight.looks, sight.segments, hypotheses, free)
     if other is None or other.margin_nats < CERTAIN_NATS:
         return None
     return camera_contradicted(camera, other.fit.camera.scaled(camera.width, camera.height).fx)
 
 
-def _at_a_glance(looks: Looks, hypotheses: list[Hypothesis], free: Free) -> Paving | None:
+def _at_a_glance(looks: Looks, segments: Segments, hypotheses: list[Hypothesis], free: Free) -> Paving | None:
     """The lattice on the likeliest ground, where it is plain to see."""
-    plane = promising_plane(looks, hypotheses)
+    plane = promising_plane(looks, segments, hypotheses)
     return None if plane is None else lay_combs(looks, plane, free)
 
 

@@ -95,10 +95,12 @@ def _lower_quantiles(values: Float[np.ndarray, " n"]) -> tuple[float, float]:
     return float(ordered[at[0]]), float(ordered[at[1]])
 
 
-def line_pieces(family: Family) -> tuple[Float[np.ndarray, "n p"], Bool[np.ndarray, "n p"]]:
+def line_pieces(
+    family: Family, piece: int = PIECE
+) -> tuple[Float[np.ndarray, "n p"], Bool[np.ndarray, "n p"]]:
     """Support of each line piece by piece, and which pieces are seen."""
-    support, seen = line_support(family, np.arange(0, family.evidence.shape[1], PIECE))
-    return support, seen > 0.6 * PIECE
+    support, seen = line_support(family, np.arange(0, family.evidence.shape[1], piece))
+    return support, seen > 0.6 * piece
 
 
 def line_z(
@@ -213,13 +215,15 @@ def _best_run(gain: Float32[np.ndarray, " n"]) -> tuple[int, int]:
     return int(sums[: last + 1].argmin()), max(last - 1, 0)
 
 
-def best_combs(family: Family, *, count: int = 4, local: bool = False) -> tuple[Comb, ...]:
+def best_combs(
+    family: Family, *, count: int = 4, local: bool = False, piece: int = PIECE
+) -> tuple[Comb, ...]:
     """The best spacings of the lines of a family, best first; empty if chance explains them all.
 
     With `local`, lines that are there in a part of the ground only are found as well, at the price of the
     part's choice.
     """
-    support, counted = line_pieces(family)
+    support, counted = line_pieces(family, piece)
     z, valid = line_z(support, counted)
     if valid.sum() < 20:
         return ()

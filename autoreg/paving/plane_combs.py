@@ -5,21 +5,25 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Float
 
 from autoreg.camera import Camera
+from autoreg.ground.crowd import crowded_window
 from autoreg.ground.rectify import Window, rectify
 from autoreg.ground.sharpen import sharpen
 from autoreg.ground.sight import Look, Looks
-from autoreg.paving.periods import Comb, best_combs
+from autoreg.paving.periods import PIECE, Comb, best_combs
 from autoreg.segments import Segments
 
 # Grounds that are looked at a second time.
 SHARPENED = 6
 # What is seen around the field of a comb when it is looked at by itself, in spacings, and the choice's price.
 ZOOM_MARGIN, ZOOM_NATS = 2.0, 2.0
+# Columns over which a line's support is taken together in a crowd, whose slabs may be small.
+CROWD_PIECE = 12
 # The first plane is tried before all others are looked at, if its joints carry this much.
 PROMISING_NATS = 15.0
 # Where rows alone are clear, the focal length by their slabs' short joints may be this much off.
@@ -49,13 +53,14 @@ Hypothesis = tuple[Camera, Float[np.ndarray, "3 3"]]
 _Interval = tuple[float, float]
 
 
-def promising_plane(looks: Looks, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
-    """The first hypothesis, if its joints are clear as it came."""
-    for look in (looks.coarse, looks.fine) if hypotheses else ():
-        plane = _combed(look, *hypotheses[0], local=False)
-        if plane is not None and plane.score > PROMISING_NATS:
-            return plane
-    return None
+def promising_plane(looks: Looks, segments: Segments, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
+    """The first hypothesis, if its joints are clear as it came, on the whole or where its segments crowd."""
+    if not hypotheses:
+        return None
+    first = hypotheses[0]
+    looked = (_combed(look, *first, local=False) for look in (looks.coarse, looks.fine))
+    near = (_where_crowded(looks.fine, segments, *one) for one in (first,))
+    return next((p for p in chain(looked, near) if p is not None and p.score > PROMISING_NATS), None)
 
 
 def comb_planes(
@@ -86,8 +91,8 @@ def _sharpened(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_foca
     sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
     again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
     best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
-    near = _zoomed(looks.fine, best)
-    return near if near is not None and near.score > best.score else best
+    near = (_zoomed(looks.fine, best), _where_crowded(looks.fine, segments, *sharp))
+    return max((best, *(p for p in near if p is not None)), key=lambda p: p.score)
 
 
 def _combed(
@@ -109,18 +114,32 @@ def _zoomed(look: Look, plane: PlaneCombs) -> PlaneCombs | None:
     margin = ZOOM_MARGIN * comb.spacing
     across, along = (comb.lines[0] - margin, comb.lines[1] + margin), comb.along
     x, y = (along, across) if axis == 0 else (across, along)
-    window = Window((x[0], y[0]), (x[1], y[1]))
-    rectified = rectify(
-        look.gradient, plane.camera.scaled(*look.gradient.size), plane.R, size=look.lines, window=window
-    )
+    return _in_window(look, plane.camera, plane.R, Window((x[0], y[0]), (x[1], y[1])))
+
+
+def _where_crowded(
+    look: Look, segments: Segments, camera: Camera, R: Float[np.ndarray, "3 3"]
+) -> PlaneCombs | None:
+    """The joints of a hypothesised ground where its segments crowd."""
+    window = crowded_window(segments, camera, R)
+    return None if window is None else _in_window(look, camera, R, window, piece=CROWD_PIECE)
+
+
+def _in_window(
+    look: Look, camera: Camera, R: Float[np.ndarray, "3 3"], window: Window, *, piece: int = PIECE
+) -> PlaneCombs | None:
+    """The joints of a hypothesised ground in a part of it, at the price of the choice."""
+    own = camera.scaled(*look.gradient.size)
+    rectified = rectify(look.gradient, own, R, size=look.lines, window=window)
     if rectified is None:
         return None
-    families = (best_combs(family, local=True) for family in (rectified.x, rectified.y))
+    families = (best_combs(family, local=True, piece=piece) for family in (rectified.x, rectified.y))
+    x, y = zip(window.low, window.high, strict=True)
     x_combs, y_combs = (
         tuple(_within(replace(c, score=c.score - ZOOM_NATS), lines, reach) for c in combs)
         for combs, lines, reach in zip(families, (y, x), (x, y), strict=True)
     )
-    return replace(plane, x=x_combs, y=y_combs)
+    return PlaneCombs(camera, R, x_combs, y_combs)
 
 
 def _within(comb: Comb, lines: _Interval, along: _Interval) -> Comb:

@@ -92,6 +92,18 @@ def _covered(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
     return replace(photo, gray=gray)
 
 
+def _terrace(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
+    """The paving is a square that fills this share of the picture; around it lies gravel."""
+    height, width = photo.gray.shape
+    px = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), -1)
+    ground = on_ground(px.reshape(-1, 2), photo.scene.camera, photo.scene.cam_from_ground)
+    middle_px = rng.uniform([0.3, 0.4], [0.7, 0.8]) * [width, height]
+    middle = on_ground(middle_px, photo.scene.camera, photo.scene.cam_from_ground)
+    off = np.nan_to_num(np.abs(ground - middle).max(1), nan=np.inf).reshape(height, width)
+    gravel = as_gray(render_paving(replace(photo.scene, kind="gravel")).pixels)
+    return replace(photo, gray=np.where(off < np.quantile(off, share), photo.gray, gravel))
+
+
 def _smeared(photo: Photo, length_px: float, rng: np.random.Generator) -> Photo:
     """The camera moves by so many pixels, in any direction, while the shutter is open."""
     size = 2 * int(np.ceil(0.5 * length_px)) + 3
@@ -121,6 +133,7 @@ AXES = (
     Axis("tilt", "degrees below the horizon", (75, 45, 30, 20, 14, 11, 8), _tilted),
     Axis("false lines", "share of all lines", (0.0, 0.2, 0.4, 0.6, 0.75), spoil=_false_lines),
     Axis("occlusion", "share of the picture", (0.0, 0.2, 0.4, 0.6, 0.75), spoil=_covered),
+    Axis("terrace", "share of the picture", (0.4, 0.2, 0.1, 0.06, 0.03), spoil=_terrace),
     Axis("shadows", "number", (0, 2, 4, 8), lambda s, v: replace(s, shadows=int(v))),
     Axis("distortion", "k1 (k2 its square)", (0.0, -0.1, -0.2, -0.3), _bent),
     Axis(
