@@ -643,6 +643,9 @@ def test_spoilt_photos_are_spoilt_by_the_share_that_is_asked_for():
     photo = robust.take(robust.Axis("occlusion", "", (0.4,)), 0.4, 1, (160, 120))
     hidden = robust._covered(photo, 0.4, np.random.default_rng(1))
     assert 0.35 < (hidden.gray != photo.gray).mean() < 0.6
+    terrace = robust._terrace(photo, 0.3, np.random.default_rng(1))
+    # Some pixels of the gravel have the paving's grey level by chance.
+    assert 0.65 < (terrace.gray != photo.gray).mean() <= 0.7
     wrong = robust._wrong_camera(photo, 10.0, np.random.default_rng(1))
     assert abs(wrong.told.fx / photo.told.fx - 1) == pytest.approx(0.1)
 

@@ -14,6 +14,7 @@ from autoreg.ground.points import on_ground
 from autoreg.ground.rectify import Window
 from autoreg.segments import Segments
 from autoreg.synthetic import render_paving
+from benchmarks.suites.robust import square_seen
 
 POSE = CHECKER.cam_from_ground
 HEIGHT = float(POSE.origin_in_a[2])
@@ -82,13 +83,9 @@ def small_board() -> np.ndarray:
     """A checker board of tiles on a smooth floor, in a part of the picture."""
     rng = np.random.default_rng(3)
     tiles = gray_of(render_paving(TILES))
-    height, width = tiles.shape
-    px = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), -1)
-    ground = on_ground(px.reshape(-1, 2), CAMERA, POSE)
     middle = 0.1 * np.round(on_ground(np.array([420.0, 260.0]), CAMERA, POSE) / 0.1)
-    off = np.nan_to_num(np.abs(ground - middle).max(1), nan=np.inf).reshape(height, width)
     floor = 140.0 + 2.0 * rng.standard_normal(tiles.shape)
-    return np.clip(np.where(off < np.quantile(off, SHARE), tiles, floor), 0, 255).astype(np.uint8)
+    return np.clip(np.where(square_seen(CAMERA, POSE, middle, SHARE), tiles, floor), 0, 255).astype(np.uint8)
 
 
 def test_a_board_that_fills_a_small_part_of_the_picture_is_found_by_its_crowd():

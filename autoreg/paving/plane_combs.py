@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 from jaxtyping import Float
@@ -55,12 +55,14 @@ _Interval = tuple[float, float]
 
 def promising_plane(looks: Looks, segments: Segments, hypotheses: list[Hypothesis]) -> PlaneCombs | None:
     """The first hypothesis, if its joints are clear as it came, on the whole or where its segments crowd."""
-    if not hypotheses:
-        return None
-    first = hypotheses[0]
-    looked = (_combed(look, *first, local=False) for look in (looks.coarse, looks.fine))
-    near = (_where_crowded(looks.fine, segments, *one) for one in (first,))
-    return next((p for p in chain(looked, near) if p is not None and p.score > PROMISING_NATS), None)
+
+    def glances(camera: Camera, R: Float[np.ndarray, "3 3"]) -> Iterator[PlaneCombs | None]:
+        yield _combed(looks.coarse, camera, R, local=False)
+        yield _combed(looks.fine, camera, R, local=False)
+        yield _where_crowded(looks.fine, segments, camera, R)
+
+    seen = glances(*hypotheses[0]) if hypotheses else ()
+    return next((p for p in seen if p is not None and p.score > PROMISING_NATS), None)
 
 
 def comb_planes(
@@ -87,7 +89,10 @@ def _clearest_first(looks: Looks, hypotheses: list[Hypothesis]) -> list[PlaneCom
 
 
 def _sharpened(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_focal: bool) -> PlaneCombs:
-    """The plane with its joints lined up, looked at again as a whole and where they are clearest."""
+    """The plane with its joints lined up, looked at again.
+
+    As a whole, where the joints are clearest, and where the segments crowd.
+    """
     sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
     again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
     best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)

@@ -8,6 +8,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from jaxtyping import Bool, Float
 
 from autoreg.align import align
 from autoreg.alignment import Alignment
@@ -94,14 +95,21 @@ def _covered(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
 
 def _terrace(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
     """The paving is a square that fills this share of the picture; around it lies gravel."""
-    height, width = photo.gray.shape
-    px = np.stack(np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float)), -1)
-    ground = on_ground(px.reshape(-1, 2), photo.scene.camera, photo.scene.cam_from_ground)
-    middle_px = rng.uniform([0.3, 0.4], [0.7, 0.8]) * [width, height]
-    middle = on_ground(middle_px, photo.scene.camera, photo.scene.cam_from_ground)
-    off = np.nan_to_num(np.abs(ground - middle).max(1), nan=np.inf).reshape(height, width)
+    camera, pose = photo.scene.camera, photo.scene.cam_from_ground
+    middle_px = rng.uniform([0.3, 0.4], [0.7, 0.8]) * [camera.width, camera.height]
+    paved = square_seen(camera, pose, on_ground(middle_px, camera, pose), share)
     gravel = as_gray(render_paving(replace(photo.scene, kind="gravel")).pixels)
-    return replace(photo, gray=np.where(off < np.quantile(off, share), photo.gray, gravel))
+    return replace(photo, gray=np.where(paved, photo.gray, gravel))
+
+
+def square_seen(
+    camera: Camera, pose: Rigid, middle: Float[np.ndarray, "2"], share: float
+) -> Bool[np.ndarray, "h w"]:
+    """Pixels of the square about a ground point, along the axes, that fills this share of the picture."""
+    u, v = np.meshgrid(np.arange(float(camera.width)), np.arange(float(camera.height)))
+    ground = on_ground(np.stack([u, v], -1).reshape(-1, 2), camera, pose)
+    off = np.nan_to_num(np.abs(ground - middle).max(1), nan=np.inf).reshape(u.shape)
+    return off < np.quantile(off, share)
 
 
 def _smeared(photo: Photo, length_px: float, rng: np.random.Generator) -> Photo:
