@@ -2,20 +2,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_sides import made_presence, presence_with
-from paved import CAMERA, STACK, gray_of
+from paved import CAMERA, STACK, fit_of, gray_of
 
 from autoreg.fitting.fit import Fit
 from autoreg.ground.ground_frame import with_origin
-from autoreg.ground.points import inside_convex
+from autoreg.ground.points import inside_convex, on_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
 from autoreg.joints.joint_looks import Strip
-from autoreg.paving.presence import Presence, field_polygon, p_llr, side_presence
-from autoreg.synthetic import SyntheticPhoto, look_at_ground
+from autoreg.paving.lattice_choice import line_evidence
+from autoreg.paving.presence import (
+    GROUND_COST,
+    Presence,
+    field_polygon,
+    looked_at_closer,
+    p_llr,
+    side_presence,
+)
+from autoreg.paving.presence import presence_of as paving_presence
+from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
+from benchmarks.suites.robust import square_seen
 
 DARK = Strip((0.01, 0.01), 0.8, (-1, -1))
 
@@ -123,9 +134,43 @@ def test_a_field_in_a_corner_of_the_picture_is_among_the_possible_ones():
     *others, (box, price) = presence_with(sides, p).possible_fields
     assert paved[box].mean() > 0.95
     assert box[paved].mean() > 0.8
-    # All choices together must not be likelier than one.
+    # All choices together must not be likelier than one: these, and the boxes of the ground.
     prices = [cost for _, cost in others]
-    assert np.exp(-np.array(prices)).sum() + 38 * np.exp(-price) <= 1.0 + 1e-9
+    chances = np.exp(-np.array(prices)).sum() + 38 * np.exp(-price) + 66**2 * np.exp(-GROUND_COST)
+    assert chances <= 1.0 + 1e-9
+
+
+def terrace(low: tuple[float, float]) -> tuple[np.ndarray, Fit, np.ndarray]:
+    """Small slabs in a part of the picture and gravel around them; the fit of the lattice; which part."""
+    scene = replace(STACK, spacing_m=(0.3, 0.2))
+    photo, gravel = render_paving(scene), render_paving(replace(scene, kind="gravel"))
+    middle = on_ground(np.array(low), CAMERA, scene.cam_from_ground)
+    paved = square_seen(CAMERA, scene.cam_from_ground, middle, 0.15)
+    return np.where(paved, gray_of(photo), gray_of(gravel)), fit_of(photo), paved
+
+
+def test_a_small_field_is_clearer_among_its_own_controls():
+    picture, fit, paved = terrace((380.0, 300.0))
+    presence = paving_presence(picture, fit)
+    closer = looked_at_closer(picture, fit, presence)
+    assert len(closer.p) < 0.2 * len(presence.p)
+    u, v = np.round(closer.at_px).astype(int).T
+    rim = cv2.dilate(paved.astype(np.uint8), np.ones((9, 9))) > 0
+    # The box ends at cuts, not where the slabs do.
+    assert rim[v, u].mean() > 0.65
+    plain, alone = (sum(line_evidence(seen, fit.grid)) for seen in (presence, closer))
+    assert alone - GROUND_COST > plain + 15.0
+
+
+def test_no_part_of_gravel_is_a_small_field(gravel_photo: SyntheticPhoto, stack_fit: Fit):
+    # Among so many boxes the likeliest has some support, which its price outweighs.
+    gray, gained = gray_of(gravel_photo), []
+    for side in (0.2, 0.25, 0.3, 0.35, 0.4, 0.5):
+        fit = replace(stack_fit, grid=Grid(side, 0.8 * side))
+        closer = looked_at_closer(gray, fit, paving_presence(gray, fit))
+        gained.append(sum(line_evidence(closer, fit.grid)) - GROUND_COST)
+    assert max(gained) < 4.0
+    assert np.median(gained) < 0.0
 
 
 def test_no_sides_span_no_field():

@@ -17,7 +17,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS, customary_shift
 from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern, best_pattern, broken, outstanding, skipping, true_sides
-from autoreg.paving.presence import Presence, presence_of
+from autoreg.paving.presence import GROUND_COST, Presence, looked_at_closer, presence_of
 
 # What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
 TESTED_NATS = 2 * float(np.log(7000)) + float(np.log(24))
@@ -36,6 +36,9 @@ RIVAL_NATS = 3.0
 SUBDIVIDE_NATS = 6.0
 # How much better than a lattice a pattern of its absent sides must explain them to speak against it.
 DEPARTS_NATS = 10.0
+# Margins at which a small field is looked at by itself: less than the first comes to nothing, and more than
+# the second is clear already.
+CLOSER_LOOK = (-25.0, 40.0)
 # Crossings of two lattices that are nearer to each other than this, in slabs, are the same.
 SAME_PLACE = 1e-3
 # Sides that tell it, the largest in the picture, and places between them that they are held against.
@@ -183,7 +186,13 @@ def presented(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | 
     presence = presence or presence_of(picture, fit)
     if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
         return None
-    return Paving(fit, presence, line_evidence(presence, fit.grid))
+    paving = Paving(fit, presence, line_evidence(presence, fit.grid))
+    if not CLOSER_LOOK[0] < paving.margin_nats < CLOSER_LOOK[1]:
+        return paving
+    price = 0.5 * GROUND_COST
+    x, y = _evidence_of(looked_at_closer(picture, fit, presence), fit.grid)
+    closer = replace(paving, evidence_nats=(x - price, y - price))
+    return max(paving, closer, key=lambda p: p.margin_nats)
 
 
 def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
