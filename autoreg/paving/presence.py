@@ -155,7 +155,7 @@ def _likeliest_box(
     boxes = (slabs[:, :, last] - slabs[:, :, first]).max(0)
     x, y = np.unravel_index(boxes.argmax(), boxes.shape)
     low, high = np.array([first[x], first[y]]), np.array([last[x], last[y]])
-    return ((cell >= low) & (cell < high)).all(1)
+    return np.asarray(((cell >= low) & (cell < high)).all(1))
 
 
 def side_presence(
