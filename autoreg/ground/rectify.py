@@ -20,6 +20,8 @@ from autoreg.camera import Camera
 
 # Gradients far below the picture's own noise floor are not amplified, in grey levels per pixel.
 FLAT_GRADIENT = 0.15
+# Joints are narrow: what changes more slowly than this is not of them.
+SHADING_PX = 6.0
 # Rows of the ground that are sampled at a time.
 ROWS = 64
 
@@ -66,6 +68,11 @@ def picture_gradient(gray: np.ndarray) -> Gradient:
     return Gradient(
         cv2.Scharr(smooth, cv2.CV_32F, 1, 0, scale=1 / 32), cv2.Scharr(smooth, cv2.CV_32F, 0, 1, scale=1 / 32)
     )
+
+
+def unshaded(gray: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """A picture without what changes more slowly than joints do: shading, reflections, soft shadows."""
+    return gray - cv2.GaussianBlur(gray, (0, 0), SHADING_PX)
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from autoreg.ground.rectify import Gradient, picture_gradient
+from autoreg.ground.rectify import Gradient, picture_gradient, unshaded
 from autoreg.image import pyramid
 from autoreg.segments import Detection, Segments, begin_detection
 
@@ -36,6 +37,11 @@ class Looks:
     picture: Float32[np.ndarray, "h w"]
     coarse: Look
     fine: Look
+
+    @cached_property
+    def unshaded(self) -> Look:
+        """The fine look without shading, in which the faint joints of a glossy floor drown."""
+        return Look(picture_gradient(unshaded(self.picture)), self.fine.lines)
 
 
 @dataclass(frozen=True)

@@ -50,17 +50,23 @@ class Paving:
     """A lattice on the ground with the pose that sees it.
 
     `evidence_nats` is the logarithm of the likelihood ratio of this lattice to chance, for the sides along X
-    and along Y, unpenalised.
+    and along Y, unpenalised. `closer` are the sides of a small field, where it was looked at by itself.
     """
 
     fit: Fit
     presence: Presence
     evidence_nats: tuple[float, float]
+    closer: Presence | None = None
 
     @property
     def grid(self) -> Grid:
         """The lattice."""
         return self.fit.grid
+
+    @property
+    def clearest(self) -> Presence:
+        """The sides that tell most of the bond."""
+        return self.closer or self.presence
 
     @property
     def margin_nats(self) -> float:
@@ -132,7 +138,7 @@ def settle_bond(
     for _ in range(6):
         if best is None:
             return None
-        fit, presence = best.fit, best.presence
+        fit, presence = best.fit, best.clearest
         along_x, along_y = true_sides(presence, ALONG_X), true_sides(presence, ALONG_Y)
         changed = with_pattern(fit, along_x, along_y)
         if changed is None:
@@ -146,9 +152,11 @@ def settle_bond(
         # one has fewer lines to count, and is judged by the lines that the finer one predicts in vain.
         coarser = along_x.advance == along_y.advance == 0 and max(along_x.period, along_y.period) in (2, 3)
         if not coarser and sum(other.evidence_nats) < sum(best.evidence_nats) - 1.0:
+            # A small field has too few sides to be whole in spite of those that are absent.
+            best = None if best.closer else best
             break
         best = other
-    return None if best is None or departs(best.presence) else best
+    return None if best is None or departs(best.clearest) else best
 
 
 def departs(presence: Presence) -> bool:
@@ -190,9 +198,10 @@ def presented(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | 
     if not CLOSER_LOOK[0] < paving.margin_nats < CLOSER_LOOK[1]:
         return paving
     price = 0.5 * GROUND_COST
-    x, y = _evidence_of(looked_at_closer(picture, fit, presence), fit.grid)
-    closer = replace(paving, evidence_nats=(x - price, y - price))
-    return max(paving, closer, key=lambda p: p.margin_nats)
+    closer = looked_at_closer(picture, fit, presence)
+    x, y = _evidence_of(closer, fit.grid)
+    alone = replace(paving, evidence_nats=(x - price, y - price), closer=closer)
+    return max(paving, alone, key=lambda p: p.margin_nats)
 
 
 def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:

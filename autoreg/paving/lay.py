@@ -80,7 +80,7 @@ def _starts(looks: Looks, plane: PlaneCombs) -> Iterator[_Start]:
         yield best
     if plane.score < HOPELESS_NATS:
         return
-    for look in (looks.coarse, looks.fine):
+    for look in (looks.coarse, looks.fine, looks.unshaded):
         camera = plane.camera.scaled(*look.gradient.size)
         reach = near_reach(camera, plane.R)
         near = rectify(look.gradient, camera, plane.R, reach=reach, size=look.lines)

@@ -94,9 +94,13 @@ def _sharpened(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_foca
     As a whole, where the joints are clearest, and where the segments crowd.
     """
     sharp = sharpen(segments, plane.camera, plane.R, free_focal=free_focal)
-    again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse))
+    again = (_combed(look, *sharp) for look in (looks.fine, looks.coarse, looks.unshaded))
     best = max((plane, *(p for p in again if p is not None)), key=lambda p: p.score)
-    near = (_zoomed(looks.fine, best), _where_crowded(looks.fine, segments, *sharp))
+    near = (
+        near
+        for look in (looks.fine, looks.unshaded)
+        for near in (_zoomed(look, best), _where_crowded(look, segments, *sharp))
+    )
     return max((best, *(p for p in near if p is not None)), key=lambda p: p.score)
 
 
