@@ -209,7 +209,8 @@ def strip_misfits(
 ) -> Float[np.ndarray, " k"]:
     """Mean logarithm of some stations' unexplained variance, for each of several widths and blurs.
 
-    `offset_px` is where the joints of those stations lie, or where they do for each width and blur.
+    `offset_px` is where the joints of those stations lie, or where they do for each width and blur. Light that
+    falls off over a profile is nobody's: a wide blur would fit it better than a narrow strip does the joint.
     """
     k, n = width_px.shape
     inside = (np.abs(profiles.at_px) <= profiles.room_px[rows, None]).astype(np.float32)
@@ -219,6 +220,7 @@ def strip_misfits(
         np.tile(inside, (k, 1)),
         single(width_px.ravel()),
         np.repeat(single(blur), n)[:, None],
+        shading=single(profiles.at_px),
     )
     strip.at(single(profiles.at_px) - single(np.broadcast_to(offset_px, (k, n)).reshape(-1, 1)))
     left, total = (dot(strip.weight * v, v) for v in (strip.misfit, strip.values))
