@@ -4,18 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from paved import HALF_BOND
+from paved import CAMERA, HALF_BOND, STACK, gray_of
 
 from autoreg import search
+from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.geometry import angle_between_rotations
-from autoreg.ground.sight import Sight, see
+from autoreg.ground.ground_frame import turned
+from autoreg.ground.rectify import near_reach, rectify
+from autoreg.ground.sight import Look, Sight, see
 from autoreg.paving.lattice_choice import Paving
+from autoreg.paving.periods import Comb, best_combs
 from autoreg.paving.plane_combs import OTHER_FOCALS, PlaneCombs, comb_planes, with_other_focals
 from autoreg.synthetic import SyntheticPhoto, render_paving
+from benchmarks.suites.robust import soft_light
 
 # Long bricks, whose short joints tell little of where they vanish.
 BRICKS = replace(HALF_BOND, spacing_m=(0.4, 0.1), joint_width_m=0.006)
+# Tiles with joints that are hardly darker than they are.
+FAINT = replace(STACK, spacing_m=(0.3, 0.3), slab_tone=150.0, joint_tone=125.0, joint_width_m=0.006)
 
 
 @pytest.fixture(scope="module")
@@ -89,3 +96,30 @@ def test_a_lattice_is_found_by_another_focal_length_than_that_of_the_segments(
     assert (found.grid.spacing_x or 0.0) / found.grid.spacing_y == pytest.approx(4.0, rel=0.02)
     camera = found.fit.camera
     assert camera.fx / camera.width == pytest.approx(photo.camera.fx / photo.camera.width, rel=0.02)
+
+
+def in_soft_light(photo: SyntheticPhoto) -> np.ndarray:
+    return soft_light(gray_of(photo).astype(np.uint8), 45.0, np.random.default_rng(1))
+
+
+def test_faint_joints_under_soft_light_are_plain_without_it():
+    sight = see(in_soft_light(render_paving(FAINT)))
+    R = FAINT.cam_from_ground.R
+    seen = [best_combs_of(look, R) for look in (sight.looks.fine, sight.looks.unshaded)]
+    spacing = 0.3 / float(FAINT.cam_from_ground.origin_in_a[2])
+    shaded, clear = (min(combs[0].score for combs in families) for families in seen)
+    assert clear > 2.0 * shaded
+    assert [combs[0].spacing for combs in seen[1]] == pytest.approx([spacing, spacing], rel=0.01)
+
+
+def best_combs_of(look: Look, R: np.ndarray) -> tuple[tuple[Comb, ...], tuple[Comb, ...]]:
+    rectified = rectify(look.gradient, CAMERA, R, reach=near_reach(CAMERA, R), size=look.lines)
+    assert rectified is not None
+    return best_combs(rectified.x, local=True), best_combs(rectified.y, local=True)
+
+
+def test_a_floor_with_faint_joints_is_aligned_under_soft_light():
+    gray = in_soft_light(render_paving(FAINT))
+    found = align(gray, CAMERA, slab=FAINT.spacing_m).pose.cam_from_ground
+    turns = [angle_between_rotations(turned(found, q).R, FAINT.cam_from_ground.R) for q in range(4)]
+    assert np.rad2deg(min(turns)) < 0.05

@@ -8,7 +8,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 
 from autoreg.align import align
 from autoreg.alignment import Alignment
@@ -112,6 +112,12 @@ def square_seen(
     return off < np.quantile(off, share)
 
 
+def soft_light(gray: UInt8[np.ndarray, "h w"], depth: float, rng: np.random.Generator) -> np.ndarray:
+    """A picture under light that varies by so many grey levels over a thirtieth of its width."""
+    light = cv2.GaussianBlur(rng.standard_normal(gray.shape), (0, 0), gray.shape[1] / 30.0)
+    return np.clip(gray + depth * light / light.std(), 0, 255).astype(np.uint8)
+
+
 def _smeared(photo: Photo, length_px: float, rng: np.random.Generator) -> Photo:
     """The camera moves by so many pixels, in any direction, while the shutter is open."""
     size = 2 * int(np.ceil(0.5 * length_px)) + 3
@@ -143,6 +149,10 @@ AXES = (
     Axis("occlusion", "share of the picture", (0.0, 0.2, 0.4, 0.6, 0.75), spoil=_covered),
     Axis("terrace", "share of the picture", (0.4, 0.2, 0.1, 0.06, 0.03), spoil=_terrace),
     Axis("shadows", "number", (0, 2, 4, 8), lambda s, v: replace(s, shadows=int(v))),
+    Axis(
+        "soft light", "grey levels", (0.0, 15.0, 30.0, 45.0, 60.0),
+        spoil=lambda photo, depth, rng: replace(photo, gray=soft_light(photo.gray, depth, rng)),
+    ),
     Axis("distortion", "k1 (k2 its square)", (0.0, -0.1, -0.2, -0.3), _bent),
     Axis(
         "bond", "shift", (0.0, 0.25, 1 / 3, 0.5), lambda s, v: replace(s, spacing_m=(0.6, 0.3), shift=v)
