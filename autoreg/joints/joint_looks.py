@@ -145,13 +145,13 @@ def first_look(
         width_px = width_px_of(guess, stations, profiles)
         return fit_offsets(profiles, found, width_px, guess.blur_px, iterations=2).offset_px
 
-    blur, families = np.array([strip.blur_px]), (ALONG_X, ALONG_Y)
+    blur = np.array([strip.blur_px])
     # Of even and of falling light, by family and guess; a family of which nothing is seen keeps what it has.
     misfits = np.full((2, 2, len(FIRST_SHARES)), np.nan)
     guesses = [replace(strip, width=(share * side[1], share * side[0])) for share in FIRST_SHARES]
     for k, guess in enumerate(guesses):
         offset_px = looked(some, places, guess, reach_px[rows])
-        for family in families:
+        for family in (ALONG_X, ALONG_Y):
             own = np.flatnonzero(places.family == family)
             if len(own) == 0:
                 continue
@@ -167,8 +167,7 @@ def first_look(
         for guess, misfit in zip(guesses, misfits[int(shaded), family], strict=True):
             if misfit < least - WIDER:
                 least, width[family] = misfit, guess.width[family]
-    strip = replace(strip, shaded=shaded)
-    strip = replace(strip, width=(width[0], width[1]))
+    strip = replace(strip, width=(width[0], width[1]), shaded=shaded)
     return looked(profiles, stations, strip, reach_px), strip
 
 
