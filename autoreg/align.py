@@ -216,8 +216,9 @@ def _measured(
     Raises:
         Refusal: it is not, or vanishes there.
     """
-    # A wrong camera may leave rows of what is a lattice.
-    blamed = _other_camera(sight, given) if isinstance(found, Rows) else None
+    # A wrong camera may leave rows of what is a lattice, or a small field of it.
+    little = isinstance(found, Rows) or found.closer is not None
+    blamed = _other_camera(sight, given) if little else None
     if blamed is not None:
         raise blamed
     if isinstance(found, Rows):

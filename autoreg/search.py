@@ -36,6 +36,8 @@ HYPOTHESES, HYPOTHESES_NO_FOCAL, MOST_PLANES = 8, 12, 3
 MOST_FOCALS = 5
 # Fewer segments than this do not tell that all run in one direction.
 FEWEST_SEGMENTS = 20
+# Logarithm by which the joints' own focal length differs from a given one, at least, that is to blame.
+SAME_FOCAL = 0.03
 # What is known of an uncalibrated camera's first radial distortion coefficient, which curved joints tell.
 RADIAL_SIGMA = 0.1
 
@@ -148,7 +150,9 @@ def other_camera(sight: Sight, camera: Camera) -> Refusal | None:
     other = _at_a_glance(sight.looks, sight.segments, hypotheses, free)
     if other is None or other.margin_nats < CERTAIN_NATS:
         return None
-    return camera_contradicted(camera, other.fit.camera.scaled(camera.width, camera.height).fx)
+    focal = other.fit.camera.scaled(camera.width, camera.height).fx
+    alike = abs(np.log(focal / camera.fx)) < SAME_FOCAL
+    return None if alike else camera_contradicted(camera, focal)
 
 
 def _at_a_glance(looks: Looks, segments: Segments, hypotheses: list[Hypothesis], free: Free) -> Paving | None:
