@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from autoreg.ground.sides import ALONG_X
-from autoreg.paving.presence import MISSED, Presence, p_llr
+from autoreg.paving.presence import MISSED, Presence
 
 # Mean p-values of a class of sides that is absent, and of one that is there. Where those that are there are
 # worn, the absent ones stand out from the next by this many standard deviations: in 140 families of joints
@@ -53,7 +53,7 @@ def best_pattern(
     # Twice the spacing is as good a lattice as any; the others must earn their freedom.
     cost = [np.log(m) if q == 0 and m <= 2 else 2 * np.log(m) + DEPARTURE_NATS for m, q, _ in keys]
     ways = np.concatenate([_residues(line, cell, m, q) for m in periods for q in range(m)], 1)
-    by_missed = np.array([p_llr(presence.p[rows], missed) for missed in MISSED], np.float32)
+    by_missed = presence.llr_by_missed[:, rows].astype(np.float32)
     fields, prices = zip(*presence.possible_fields, strict=True)
     held = np.array(fields)[:, rows]
     weights = (held[:, None] * by_missed).reshape(len(held) * len(MISSED), len(rows))

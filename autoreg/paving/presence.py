@@ -79,8 +79,12 @@ class Presence:
 
     def llr(self, rows: np.ndarray) -> Float[np.ndarray, " k"]:
         """Log likelihood ratios in nats of sides being there, for the share of missed ones that suits."""
-        options = [p_llr(self.p[rows], missed) for missed in MISSED]
-        return max(options, key=lambda llr: float(llr.sum()))
+        return max(self.llr_by_missed[:, rows], key=lambda llr: float(llr.sum()))
+
+    @cached_property
+    def llr_by_missed(self) -> Float[np.ndarray, "missed n"]:
+        """Log likelihood ratios in nats of all sides being there, for each share of missed ones."""
+        return np.array([p_llr(self.p, missed) for missed in MISSED])
 
     def largest(self, share: float) -> Bool[np.ndarray, " n"]:
         """Which sides are of the given share that is largest in the picture."""
@@ -120,8 +124,7 @@ class Presence:
             return ((np.zeros(0, dtype=bool), SHARE_COST),)
         fields = [(self.largest(share), SHARE_COST) for share in FIELD_SHARES]
         boxes = _boxes(self.at_px)
-        llr = np.array([p_llr(self.p, missed) for missed in MISSED])
-        best = int((llr @ np.array(boxes, float).T).max(0).argmax())
+        best = int((self.llr_by_missed @ np.array(boxes, float).T).max(0).argmax())
         return (*fields, (boxes[best], BOX_COST))
 
 
@@ -277,8 +280,8 @@ def looked_at_closer(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Pres
     Where paving fills a small part of a photo, few of its sides get few controls each, and most of these lie
     on what grows or lies around it. The choice of the box costs `GROUND_COST`.
     """
-    llr = np.array([p_llr(presence.p, missed) for missed in MISSED])
-    sides = presence.sides.take(np.flatnonzero(_likeliest_box(presence.sides.middle, llr)))
+    box = _likeliest_box(presence.sides.middle, presence.llr_by_missed)
+    sides = presence.sides.take(np.flatnonzero(box))
     return _presence_of_sides(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, sides)
 
 
