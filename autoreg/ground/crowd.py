@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
-from autoreg.ground.directions import agreement, camera_rays
+from autoreg.ground.directions import MIN_DEPRESSION, agreement, camera_rays
 from autoreg.ground.rectify import Window
 from autoreg.segments import Segments
 
@@ -19,8 +19,6 @@ PLACES = np.linspace(0.0, 1.0, 9)
 CROWDED = 0.3
 # How much further than its segments a crowd reaches, as a share of its size.
 MARGIN = 0.06
-# Ground nearer to the horizon than this is out of sight.
-LOWEST = 0.02
 
 
 def crowded_window(segments: Segments, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Window | None:
@@ -36,7 +34,8 @@ def crowded_window(segments: Segments, camera: Camera, R: Float[np.ndarray, "3 3
     rays = camera_rays(segments, camera)
     places = rays.ends[:, :1] + PLACES[:, None] * (rays.ends[:, 1:] - rays.ends[:, :1])
     ground = places @ R
-    weight = agreement(rays, R[:, :2].T)[..., None] * rays.weight[:, None] * (ground[..., 2] < -LOWEST)
+    below = ground[..., 2] < -MIN_DEPRESSION
+    weight = agreement(rays, R[:, :2].T)[..., None] * rays.weight[:, None] * below
     px = camera.project(places.reshape(-1, 3)).reshape(*ground.shape[:2], 2)
     inside = _in_largest_crowd(px, weight, camera) & (weight.max(0) > 0)
     if not inside.any():

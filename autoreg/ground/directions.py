@@ -21,6 +21,8 @@ from autoreg.segments import Segments
 CUTOFF_SIGMAS = 3.0
 # Joints are laid and walls are built with errors of direction of this size, whatever the picture's own noise.
 LAYING_SPREAD_RAD = 0.006
+# Joints this close to the horizon are too short to be seen as joints.
+MIN_DEPRESSION = 0.02
 # So many directions are voted on at a time: what a processor's cache holds.
 VOTED = 256
 

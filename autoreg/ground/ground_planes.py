@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from autoreg.camera import Camera
 from autoreg.ground.directions import (
     CUTOFF_SIGMAS,
+    MIN_DEPRESSION,
     SegmentRays,
     agreement,
     camera_rays,
@@ -33,8 +34,6 @@ VOTERS = 350
 OTHER_VOTERS = 150
 # Candidates looked at for repetitions, and candidates fitted; a longer list asked for finds no more.
 STARTED, FITTED = 192, 60
-# Joints this close to the horizon are too short to be seen as joints.
-MIN_DEPRESSION = 0.02
 # A plane seen more steeply than this may be a wall seen from the front as well.
 WALL_LIKE_RAD = np.radians(65.0)
 # What a candidate's support is worth by how far the camera would look down: less where it may be a wall.

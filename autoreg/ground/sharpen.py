@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from autoreg.camera import Camera
 from autoreg.geometry import rotation_from_vector
+from autoreg.ground.directions import MIN_DEPRESSION
 from autoreg.ground.rectify import grid_axes
 from autoreg.segments import Segments
 
@@ -83,8 +84,8 @@ def _sharpness(points: _Points, R: np.ndarray, focal: float, axes: tuple[np.ndar
     xy = points.xy / focal
     rays = np.c_[xy, np.ones(len(xy))]
     ground = rays @ R
-    below = ground[:, 2] < -0.02
-    place = ground[:, :2] / np.minimum(ground[:, 2:], -0.02) * -1.0
+    below = ground[:, 2] < -MIN_DEPRESSION
+    place = ground[:, :2] / np.minimum(ground[:, 2:], -MIN_DEPRESSION) * -1.0
     total = 0.0
     for family in (0, 1):
         # Picture direction of the family at each point.
