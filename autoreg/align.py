@@ -217,11 +217,12 @@ def _measured(
         Refusal: it is not, or vanishes there.
     """
     # A wrong camera may leave rows of what is a lattice, or a small field of it.
-    little = isinstance(found, Rows) or found.closer is not None
-    blamed = _other_camera(sight, given) if little else None
-    if blamed is not None:
-        raise blamed
-    if isinstance(found, Rows):
+    rows = isinstance(found, Rows)
+    if given is not None and (rows or found.closer is not None):
+        blamed = other_camera(sight, given, None if rows else found)
+        if blamed is not None:
+            raise blamed
+    if rows:
         return measured_rows(sight, picture, found, free, square=source == "photo")
     return measured_slabs(sight.looks.picture, picture, found, free, slab)
 

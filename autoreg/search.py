@@ -144,11 +144,16 @@ def _unrivalled(pavings: tuple[Paving, ...]) -> Paving:
     return pavings[0]
 
 
-def other_camera(sight: Sight, camera: Camera) -> Refusal | None:
-    """Why a camera is to blame where it shows no lattice: the joints clearly fit another one."""
+def other_camera(sight: Sight, camera: Camera, found: Paving | None = None) -> Refusal | None:
+    """Why a camera is to blame for showing no lattice, or only the one found: the joints clearly fit another.
+
+    A small field that is seen by the right camera, the joints' own camera explains hardly better; one that is
+    left of a large field by a wrong camera, it explains far better.
+    """
     free, hypotheses = _hypotheses(sight.segments, sight.size, None)
     other = _at_a_glance(sight.looks, sight.segments, hypotheses, free)
-    if other is None or other.margin_nats < CERTAIN_NATS:
+    explained = 0.0 if found is None else found.margin_nats
+    if other is None or other.margin_nats < explained + CERTAIN_NATS:
         return None
     focal = other.fit.camera.scaled(camera.width, camera.height).fx
     alike = abs(np.log(focal / camera.fx)) < SAME_FOCAL

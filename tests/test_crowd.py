@@ -12,6 +12,9 @@ from autoreg.ground.crowd import crowded_window
 from autoreg.ground.ground_frame import turned
 from autoreg.ground.points import on_ground
 from autoreg.ground.rectify import Window
+from autoreg.ground.sight import see
+from autoreg.paving.lattice_choice import Paving
+from autoreg.search import find_paving, other_camera
 from autoreg.segments import Segments
 from autoreg.synthetic import render_paving
 from benchmarks.suites.robust import square_seen
@@ -94,3 +97,12 @@ def test_a_board_that_fills_a_small_part_of_the_picture_is_found_by_its_crowd():
     turns = [angle_between_rotations(turned(found, q).R, POSE.R) for q in range(4)]
     assert np.rad2deg(min(turns)) < 0.1
     assert found.origin_in_a[2] == pytest.approx(HEIGHT, rel=2e-3)
+
+
+def test_the_right_camera_is_not_blamed_for_a_small_field_that_hardly_tells_the_focal_length():
+    sight = see(small_board())
+    found = find_paving(sight, CAMERA)
+    assert isinstance(found, Paving)
+    # The joints' own camera is another one, but explains them no better.
+    assert other_camera(sight, CAMERA) is not None
+    assert other_camera(sight, CAMERA, found) is None
