@@ -222,14 +222,19 @@ def test_a_neighbouring_joint_has_no_say_beyond_the_room():
     assert near[1] == pytest.approx(near[0], abs=0.02)
 
 
-def test_the_misfit_is_lowest_at_the_true_width_and_blur():
+@pytest.mark.parametrize("slope", [0.0, 4.0, -12.0])
+def test_the_misfit_is_lowest_at_the_true_width_and_blur_in_any_light(slope: float):
     rng = np.random.default_rng(4)
-    values = [strip_values(o, 3.0, 1.0) + rng.normal(0, 1, len(AT)) for o in rng.uniform(-0.5, 0.5, 20)]
+    light = slope * AT
+    values = [
+        strip_values(o, 3.0, 1.0) + light + rng.normal(0, 1, len(AT)) for o in rng.uniform(-0.5, 0.5, 20)
+    ]
     profiles = profiles_of(*values)
     offsets = fit_offsets(profiles, np.zeros(20), each(3.0, profiles), 1.0).offset_px
     rows = np.arange(20)
     widths = np.array([each(w, profiles) for w in (2.0, 3.0, 4.0)])
-    by_width = strip_misfits(profiles, rows, offsets, widths, np.full(3, 1.0))
-    by_blur = strip_misfits(profiles, rows, offsets, widths[[1, 1, 1]], np.array([0.6, 1.0, 1.6]))
+    blurs, shaded = np.array([0.6, 1.0, 1.6, 6.5]), slope != 0.0
+    by_width = strip_misfits(profiles, rows, offsets, widths, np.full(3, 1.0), shaded=shaded)
+    by_blur = strip_misfits(profiles, rows, offsets, widths[[1, 1, 1, 1]], blurs, shaded=shaded)
     assert np.argmin(by_width) == 1
     assert np.argmin(by_blur) == 1

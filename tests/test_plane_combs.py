@@ -7,8 +7,10 @@ import pytest
 from paved import CAMERA, HALF_BOND, STACK, gray_of
 
 from autoreg import search
+from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.geometry import angle_between_rotations
+from autoreg.ground.ground_frame import turned
 from autoreg.ground.rectify import near_reach, rectify
 from autoreg.ground.sight import Look, Sight, see
 from autoreg.paving.lattice_choice import Paving
@@ -114,3 +116,10 @@ def best_combs_of(look: Look, R: np.ndarray) -> tuple[tuple[Comb, ...], tuple[Co
     rectified = rectify(look.gradient, CAMERA, R, reach=near_reach(CAMERA, R), size=look.lines)
     assert rectified is not None
     return best_combs(rectified.x, local=True), best_combs(rectified.y, local=True)
+
+
+def test_a_floor_with_faint_joints_is_aligned_under_soft_light():
+    gray = in_soft_light(render_paving(FAINT))
+    found = align(gray, CAMERA, slab=FAINT.spacing_m).pose.cam_from_ground
+    turns = [angle_between_rotations(turned(found, q).R, FAINT.cam_from_ground.R) for q in range(4)]
+    assert np.rad2deg(min(turns)) < 0.05

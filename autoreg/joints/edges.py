@@ -206,10 +206,14 @@ def strip_misfits(
     offset_px: Float[np.ndarray, "... n"],
     width_px: Float[np.ndarray, "k n"],
     blur: Float[np.ndarray, " k"],
+    *,
+    shaded: bool = False,
 ) -> Float[np.ndarray, " k"]:
     """Mean logarithm of some stations' unexplained variance, for each of several widths and blurs.
 
-    `offset_px` is where the joints of those stations lie, or where they do for each width and blur.
+    `offset_px` is where the joints of those stations lie, or where they do for each width and blur. Where the
+    profiles are `shaded`, light that falls off is left out: a wide blur would fit it better than a narrow
+    strip does the joint.
     """
     k, n = width_px.shape
     inside = (np.abs(profiles.at_px) <= profiles.room_px[rows, None]).astype(np.float32)
@@ -219,7 +223,10 @@ def strip_misfits(
         np.tile(inside, (k, 1)),
         single(width_px.ravel()),
         np.repeat(single(blur), n)[:, None],
+        shading=single(profiles.at_px) if shaded else None,
     )
     strip.at(single(profiles.at_px) - single(np.broadcast_to(offset_px, (k, n)).reshape(-1, 1)))
-    left, total = (dot(strip.weight * v, v) for v in (strip.misfit, strip.values))
+    values = profiles.values[rows]
+    centred = values - dot(inside, values)[:, None] / inside.sum(1, keepdims=True)
+    left, total = dot(strip.weight * strip.misfit, strip.misfit), np.tile(dot(inside * centred, centred), k)
     return np.log(left / np.maximum(total, 1e-9) + 1e-3).reshape(k, n).mean(1).astype(float)

@@ -36,6 +36,9 @@ MOST_NEUTRAL = 0.05
 NO_JOINT_BONUS, NO_JOINT_GAIN = 0.1, 0.01
 # Edges up and down that tell how far bright tiles bloom: so many of either, and such a share of a family's.
 LEAST_KIND, KIND_SHARE = 8, 0.2
+# Profiles are shaded where a slope of light lowers their mean log variance by more than this: noise alone
+# is lowered by a tenth.
+SHADED = 0.3
 # Grey levels that even the deepest shadow has.
 DARK = 8.0
 # Stations of either family that tell the looks.
@@ -48,7 +51,8 @@ class Strip:
 
     `polarity` is -1 where a family's joints are darker than their slabs, +1 where they are lighter, and 0
     where they are neither (tiles of two tones that meet without a joint); once known, it is not asked again.
-    Where the camera moved while the shutter was open, no joint of a family looks narrower than `smear_px`.
+    Where the camera moved while the shutter was open, no joint of a family looks narrower than `smear_px`. In
+    soft shadows and reflections the profiles are `shaded`: light falls off over them.
     """
 
     width: tuple[float, float]
@@ -56,6 +60,7 @@ class Strip:
     polarity: tuple[int, int] = (0, 0)
     polarity_known: bool = False
     smear_px: tuple[float, float] = (0.0, 0.0)
+    shaded: bool = False
 
     def like(self, other: Strip) -> bool:
         """Whether widths and blur are the same but for a few percent."""
@@ -128,7 +133,7 @@ def first_look(
 
     Each family has its own. All guesses are judged by all that is seen of a profile: within its own reach a
     narrow strip explains one edge of a wide joint as well as a wide one explains both. A sample tells which
-    guess is right.
+    guess is right, and whether the profiles are shaded.
     """
     rows = np.sort(np.concatenate([sample(stations.family == family) for family in (ALONG_X, ALONG_Y)]))
     some, places, reach = profiles.take(rows), stations.take(rows), float(reach_px.max())
@@ -140,19 +145,29 @@ def first_look(
         width_px = width_px_of(guess, stations, profiles)
         return fit_offsets(profiles, found, width_px, guess.blur_px, iterations=2).offset_px
 
-    width, least, blur = list(strip.width), [np.inf, np.inf], np.array([strip.blur_px])
-    for share in FIRST_SHARES:
-        guess = replace(strip, width=(share * side[1], share * side[0]))
+    blur = np.array([strip.blur_px])
+    # Of even and of falling light, by family and guess; a family of which nothing is seen keeps what it has.
+    misfits = np.full((2, 2, len(FIRST_SHARES)), np.nan)
+    guesses = [replace(strip, width=(share * side[1], share * side[0])) for share in FIRST_SHARES]
+    for k, guess in enumerate(guesses):
         offset_px = looked(some, places, guess, reach_px[rows])
         for family in (ALONG_X, ALONG_Y):
             own = np.flatnonzero(places.family == family)
             if len(own) == 0:
                 continue
             width_px = width_px_of(guess, places, some)[None, own]
-            misfit = float(strip_misfits(some, own, offset_px[own], width_px, blur)[0])
-            if misfit < least[family] - WIDER:
-                least[family], width[family] = misfit, guess.width[family]
-    strip = replace(strip, width=(width[0], width[1]))
+            for shaded in (False, True):
+                left = strip_misfits(some, own, offset_px[own], width_px, blur, shaded=shaded)
+                misfits[int(shaded), family, k] = left[0]
+    known, width = ~np.isnan(misfits[0, :, 0]), list(strip.width)
+    even, falling = (light[known].min(initial=np.inf) for light in misfits)
+    shaded = bool(known.any() and even - falling > SHADED)
+    for family in np.flatnonzero(known):
+        least = np.inf
+        for guess, misfit in zip(guesses, misfits[int(shaded), family], strict=True):
+            if misfit < least - WIDER:
+                least, width[family] = misfit, guess.width[family]
+    strip = replace(strip, width=(width[0], width[1]), shaded=shaded)
     return looked(profiles, stations, strip, reach_px), strip
 
 
@@ -194,7 +209,7 @@ def estimate_strip(
 
     Near what is known of them, unless `thorough`.
     """
-    width, smear, blur = list(strip.width), list(strip.smear_px), strip.blur_px
+    width, smear, blur, shaded = list(strip.width), list(strip.smear_px), strip.blur_px, strip.shaded
     samples = [sample(usable & (stations.family == family)) for family in (ALONG_X, ALONG_Y)]
     for family, rows in enumerate(samples):
         if len(rows) < 6:
@@ -212,27 +227,26 @@ def estimate_strip(
             options = options[options < MOST_NEUTRAL * across]
         scale, offset_px = profiles.px_per_unit[rows], offsets.offset_px[rows]
         widths_px = np.maximum(options[:, None] * scale, smear[family])
-        width[family] = _likeliest(profiles, rows, offset_px, options, widths_px, blur)
+        width[family] = _likeliest(profiles, rows, offset_px, options, widths_px, blur, shaded)
         if smear[family] > 0.0:
             options = smear[family] * NEARBY
             widths_px = np.maximum(width[family] * scale, options[:, None])
-            smear[family] = _likeliest(profiles, rows, offset_px, options, widths_px, blur)
+            smear[family] = _likeliest(profiles, rows, offset_px, options, widths_px, blur, shaded)
         if strip.polarity[family] == 0:
             # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
             # The two ideas are each given their own offsets and blur before they are compared.
             ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
             some = profiles.take(rows)
-            misfits = [_idea_misfit(some, offset_px, idea, blur) for idea in ideas]
+            misfits = [_idea_misfit(some, offset_px, idea, blur, shaded) for idea in ideas]
             gain = float(np.exp(misfits[1]) - np.exp(misfits[0]))
             if misfits[1] < misfits[0] + NO_JOINT_BONUS or gain < NO_JOINT_GAIN:
                 width[family] = NO_JOINT * across
     rows = np.concatenate(samples)
     strip = replace(strip, width=(width[0], width[1]), smear_px=(smear[0], smear[1]))
     blurs = BLURS if thorough else np.clip(blur * NEARBY, BLURS[0], BLURS[-1])
-    widths_px = np.tile(width_px_of(strip, stations, profiles)[rows], (len(blurs), 1))
-    return replace(
-        strip, blur_px=_likeliest(profiles, rows, offsets.offset_px[rows], blurs, widths_px, blurs)
-    )
+    width_px, offset_px = width_px_of(strip, stations, profiles)[rows], offsets.offset_px[rows]
+    widths_px = np.tile(width_px, (len(blurs), 1))
+    return replace(strip, blur_px=_likeliest(profiles, rows, offset_px, blurs, widths_px, blurs, shaded))
 
 
 def sample(mask: Bool[np.ndarray, " n"], most: int = SAMPLE) -> Int[np.ndarray, " k"]:
@@ -241,14 +255,15 @@ def sample(mask: Bool[np.ndarray, " n"], most: int = SAMPLE) -> Int[np.ndarray, 
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)] if len(rows) else rows
 
 
-def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: float) -> float:
+def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: float, shaded: bool) -> float:
     """Misfit of a joint width with the blur that suits it best: a blurred step is like a narrow strip."""
     width_px, rows = width * profiles.px_per_unit, np.arange(len(start_px))
     misfits: list[float] = []
     for wider in (1.0, 1.3, 1.7):
         own = fit_offsets(profiles, start_px, width_px, wider * blur, iterations=4)
         blurs = np.array([wider * blur])
-        misfits.append(float(strip_misfits(profiles, rows, own.offset_px, width_px[None], blurs)[0]))
+        left = strip_misfits(profiles, rows, own.offset_px, width_px[None], blurs, shaded=shaded)
+        misfits.append(float(left[0]))
     return min(misfits)
 
 
@@ -259,9 +274,12 @@ def _likeliest(
     options: Float[np.ndarray, " k"],
     widths_px: Float[np.ndarray, "k n"],
     blurs: float | Float[np.ndarray, " k"],
+    shaded: bool,
 ) -> float:
     """The option whose widths and blur explain some stations' profiles best."""
-    costs = strip_misfits(profiles, rows, offset_px, widths_px, np.broadcast_to(blurs, options.shape))
+    costs = strip_misfits(
+        profiles, rows, offset_px, widths_px, np.broadcast_to(blurs, options.shape), shaded=shaded
+    )
     if np.ptp(costs) == 0.0:
         # A smear may be wider than the joints are by any option.
         return float(np.median(options))

@@ -48,7 +48,9 @@ def smear_px(
         start = search_offsets(every, width_px, SEARCH_PX, SEARCH_PX, strip.blur_px)
         placed = fit_offsets(every, start, width_px, strip.blur_px, iterations=1).offset_px
         blurs = np.full(len(tried), strip.blur_px)
-        misfits = strip_misfits(profiles, rows, placed.reshape(tried.shape), tried, blurs)
+        misfits = strip_misfits(
+            profiles, rows, placed.reshape(tried.shape), tried, blurs, shaded=strip.shaded
+        )
         least = misfits.reshape(len(OWN_PARTS), -1).min(0)
         if least.min() < least[0] - CLEARER:
             found[family] = float(narrowest_px[least.argmin()])

@@ -89,13 +89,25 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class StripModel:
-    """The strip model on some profiles: tones are the heights of the near and of the far edge."""
+    """The strip model on some profiles: tones are the heights of the near and of the far edge.
+
+    Where `shading` is given, a profile of light that falls off, any of it may lie over the strip.
+    """
 
     def __init__(
-        self, values: np.ndarray, weight: np.ndarray, width: np.ndarray, blur: float | np.ndarray
+        self,
+        values: np.ndarray,
+        weight: np.ndarray,
+        width: np.ndarray,
+        blur: float | np.ndarray,
+        shading: np.ndarray | None = None,
     ) -> None:
         self.weight, self.half, self.blur = weight, 0.5 * width[:, None], single(np.asarray(blur))
         self.samples = weight.sum(1, keepdims=True)
+        self.shading = None
+        if shading is not None:
+            unit = self._centred(np.broadcast_to(shading, weight.shape))
+            self.shading = unit / np.sqrt(np.maximum(dot(weight * unit, unit), 1e-9))[:, None]
         self.values = self._centred(values)
 
     def of(self, rows: Int[np.ndarray, " k"]) -> StripModel:
@@ -103,10 +115,14 @@ class StripModel:
         some = copy(self)
         some.weight, some.half, some.samples = self.weight[rows], self.half[rows], self.samples[rows]
         some.values = self.values[rows]
+        some.shading = None if self.shading is None else self.shading[rows]
         return some
 
     def _centred(self, columns: np.ndarray) -> np.ndarray:
-        return columns - dot(self.weight, columns)[:, None] / self.samples
+        centred = columns - dot(self.weight, columns)[:, None] / self.samples
+        if self.shading is not None:
+            centred -= dot(self.weight * self.shading, centred)[:, None] * self.shading
+        return centred
 
     def at(self, s: np.ndarray) -> None:
         """Take the strip to profile coordinates s, and fit its tones."""
