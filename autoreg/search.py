@@ -122,7 +122,7 @@ def _by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tupl
     if not planes or planes[0].score < PROMISING_NATS:
         return ()
     for plane in with_other_focals(looks, planes[0])[:MOST_FOCALS]:
-        pavings = lay_lattice(looks, plane, free)
+        pavings = lay_lattice(looks, plane, free, thorough=False)
         if _certain(pavings):
             return pavings
     return ()

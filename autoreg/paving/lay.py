@@ -18,7 +18,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import turned
 from autoreg.ground.rectify import near_reach, rectify
 from autoreg.ground.sides import Grid, visible_sides
-from autoreg.ground.sight import Looks
+from autoreg.ground.sight import Look, Looks
 from autoreg.paving.bond import BondHypothesis, bond_hypotheses
 from autoreg.paving.lattice_choice import Paving, hopeful, settle_bond
 from autoreg.paving.multiples import divided, slabs_in_one, too_long
@@ -49,15 +49,17 @@ def lay_combs(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:
     return None if start is None else _laid(looks, plane, start, free)
 
 
-def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ...]:
+def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free, *, thorough: bool = True) -> tuple[Paving, ...]:
     """The lattices that several starts on a plane lead to, the one that explains the picture best first.
 
     Where both families repeat as whole lines, they are the start. A running bond seen from afar, or one with
-    an unusual shift, shows its cross joints only course by course.
+    an unusual shift, shows its cross joints only course by course. All looks at the picture give starts if
+    `thorough`, else the finer one alone.
     """
     found: list[Paving] = []
     tried: list[_Start] = []
-    for start in _starts(looks, plane):
+    seen = (looks.coarse, looks.fine, looks.unshaded) if thorough else (looks.fine,)
+    for start in _starts(seen, plane):
         if any(start.like(other) for other in tried):
             continue
         # The first start may be refined to a finer lattice whose joints its own miss.
@@ -74,13 +76,13 @@ def lay_bond(looks: Looks, plane: PlaneCombs, pose: Rigid, grid: Grid, free: Fre
     return _laid(looks, plane, _Start(pose, grid), free)
 
 
-def _starts(looks: Looks, plane: PlaneCombs) -> Iterator[_Start]:
+def _starts(looks: tuple[Look, ...], plane: PlaneCombs) -> Iterator[_Start]:
     best = _best_start(plane)
     if best is not None:
         yield best
     if plane.score < HOPELESS_NATS:
         return
-    for look in (looks.coarse, looks.fine, looks.unshaded):
+    for look in looks:
         camera = plane.camera.scaled(*look.gradient.size)
         reach = near_reach(camera, plane.R)
         near = rectify(look.gradient, camera, plane.R, reach=reach, size=look.lines)
