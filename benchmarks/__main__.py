@@ -55,7 +55,7 @@ def main(words: Sequence[str] | None = None, console: Console | None = None) -> 
     """Run what was asked for; the exit code."""
     asked = parser().parse_args(words)
     console = console or Console(soft_wrap=False)
-    options = Options(asked.out, asked.quick, asked.seeds, asked.yorkurban, asked.photos, asked.scenes)
+    options = Options(asked.out, asked.quick, asked.seeds, **{name: getattr(asked, name) for name in DATA})
     try:
         names = chosen(asked.only, quick=asked.quick)
         if asked.seeds is not None and asked.seeds < 2:

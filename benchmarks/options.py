@@ -7,7 +7,7 @@ from pathlib import Path
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 # The folders of data that a checkout alone does not have; each is an option.
-DATA = ("yorkurban", "photos", "scenes")
+DATA = ("yorkurban", "photos", "scenes", "chessboards", "groundgrid")
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,8 @@ class Options:
         yorkurban: folder of the York Urban pictures and `ground_truth.json`.
         photos: folder of real photos, with `paved/` and `refuse/`.
         scenes: folder of ray-traced scenes, as `benchmarks/scenes.py` writes them.
+        chessboards: folder of sets of photographed boards of 9 x 6 inner corners, one subfolder each.
+        groundgrid: folder of floors with `gt.json`, their cameras and poses.
     """
 
     out: Path
@@ -29,6 +31,8 @@ class Options:
     yorkurban: Path = SHARED / "yorkurban"
     photos: Path = SHARED / "photos"
     scenes: Path = SHARED / "scenes"
+    chessboards: Path = SHARED / "chessboards"
+    groundgrid: Path = SHARED / "groundgrid"
 
     def count(self, quick: int, full: int) -> int:
         """How many seeds to draw."""

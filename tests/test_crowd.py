@@ -12,8 +12,11 @@ from autoreg.ground.crowd import crowded_window
 from autoreg.ground.ground_frame import turned
 from autoreg.ground.points import on_ground
 from autoreg.ground.rectify import Window
+from autoreg.ground.sides import ALONG_X
 from autoreg.ground.sight import see
-from autoreg.paving.lattice_choice import Paving
+from autoreg.paving import lattice_choice
+from autoreg.paving.lattice_choice import Paving, settle_bond
+from autoreg.paving.multiples import divided
 from autoreg.search import find_paving, other_camera
 from autoreg.segments import Segments
 from autoreg.synthetic import render_paving
@@ -82,13 +85,13 @@ def test_no_crowd_without_joints_of_both_directions():
     assert crowded_window(segments_of(one_way), CAMERA, POSE.R) is None
 
 
-def small_board() -> np.ndarray:
+def small_board(share: float = SHARE) -> np.ndarray:
     """A checker board of tiles on a smooth floor, in a part of the picture."""
     rng = np.random.default_rng(3)
     tiles = gray_of(render_paving(TILES))
     middle = 0.1 * np.round(on_ground(np.array([420.0, 260.0]), CAMERA, POSE) / 0.1)
     floor = 140.0 + 2.0 * rng.standard_normal(tiles.shape)
-    return np.clip(np.where(square_seen(CAMERA, POSE, middle, SHARE), tiles, floor), 0, 255).astype(np.uint8)
+    return np.clip(np.where(square_seen(CAMERA, POSE, middle, share), tiles, floor), 0, 255).astype(np.uint8)
 
 
 def test_a_board_that_fills_a_small_part_of_the_picture_is_found_by_its_crowd():
@@ -106,3 +109,16 @@ def test_the_right_camera_is_not_blamed_for_a_small_field_that_hardly_tells_the_
     # The joints' own camera is another one, but explains them no better.
     assert other_camera(sight, CAMERA) is not None
     assert other_camera(sight, CAMERA, found) is None
+
+
+def test_a_small_field_stays_as_it_is_where_a_finer_lattice_that_was_tried_is_less_clear(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    sight = see(small_board(0.03))
+    found = find_paving(sight, CAMERA)
+    assert isinstance(found, Paving)
+    assert found.closer is not None
+    monkeypatch.setattr(lattice_choice, "_subdivided", lambda _, fit: divided(fit, ALONG_X, 2))
+    again = settle_bond(sight.looks.picture, found.fit)
+    assert again is not None
+    assert again.grid == found.grid

@@ -140,9 +140,8 @@ def settle_bond(
             return None
         fit, presence = best.fit, best.clearest
         along_x, along_y = true_sides(presence, ALONG_X), true_sides(presence, ALONG_Y)
-        changed = with_pattern(fit, along_x, along_y)
-        if changed is None:
-            changed = _subdivided(picture, fit)
+        without_absent = with_pattern(fit, along_x, along_y)
+        changed = without_absent or _subdivided(picture, fit)
         if changed is None or same_lattice(fit, changed):
             break
         other = presented(picture, changed)
@@ -153,7 +152,7 @@ def settle_bond(
         coarser = along_x.advance == along_y.advance == 0 and max(along_x.period, along_y.period) in (2, 3)
         if not coarser and sum(other.evidence_nats) < sum(best.evidence_nats) - 1.0:
             # A small field has too few sides to be whole in spite of those that are absent.
-            best = None if best.closer else best
+            best = None if best.closer and without_absent else best
             break
         best = other
     return None if best is None or departs(best.clearest) else best

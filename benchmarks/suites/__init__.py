@@ -10,9 +10,12 @@ from benchmarks.options import Options
 from benchmarks.result import Result
 
 # In the order in which they run and are reported.
-NAMES = ("refine", "limit", "truth", "robust", "vanishing", "thesis", "speed", "scenes", "real", "variants")
+NAMES = (
+    *("refine", "limit", "truth", "robust", "vanishing", "thesis", "speed"),
+    *("scenes", "boards", "real", "variants"),
+)
 # What the short run leaves out, because it needs what a checkout alone does not have, or minutes.
-NOT_QUICK = ("thesis", "speed", "scenes", "real", "variants")
+NOT_QUICK = ("thesis", "speed", "scenes", "boards", "real", "variants")
 
 
 class UnknownSuite(ValueError):
