@@ -136,6 +136,14 @@ def test_a_dumped_camera_info_message_is_read(given_text):
     assert_same_camera(read_camera(given_text(text)), CAMERA)
 
 
+def test_a_region_of_ros_is_refused_where_it_is_a_part_and_the_crop_is_named(given_text):
+    region = "roi: {x_offset: 160, y_offset: 120, height: %d, width: %d, do_rectify: false}\n"
+    for height, width in ((0, 0), (1200, 1600)):
+        assert_same_camera(read_camera(given_text(ROS + region % (height, width))), CAMERA)
+    with pytest.raises(InputError, match="--crop 160,120,800,600"):
+        read_camera(given_text(ROS + region % (600, 800)))
+
+
 def test_ros_rational_polynomial_is_read(given_text):
     text = ROS.replace("plumb_bob", "rational_polynomial").replace("cols: 5", "cols: 8")
     text = text.replace("1e-05]", "1e-05, 0.25, -0.125, 0.0625]")

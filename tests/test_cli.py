@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 import autoreg.align
 from autoreg.command.cli import app
+from autoreg.command.cli_messages import hand_over
 from autoreg.errors import InputError, Refusal
 from autoreg.jobs import job, render_job
 from autoreg.jobs.outputs import write_whole
@@ -80,6 +81,11 @@ def test_json_prints_the_report_and_nothing_else(photo, aligned):
     done = run("align", photo, "--json", "-o", "out")
     assert done.stdout == Path("out/alignment.json").read_text()
     assert "wrote" in done.stderr
+
+
+def test_json_for_a_closed_stdout_goes_nowhere(monkeypatch):
+    monkeypatch.setattr("sys.stdout", None)
+    hand_over("{}")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from autoreg.command.cli_messages import tell
+from autoreg.command.cli_messages import hand_over, tell
 from autoreg.errors import InputError, Refusal
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
             from autoreg.calibration.inspection import inspect_camera
 
             found = inspect_camera(read_claims(camera), photo)
-            sys.stdout.write(_inspection_json(found) if as_json else _inspection_text(found))
+            hand_over(_inspection_json(found) if as_json else _inspection_text(found))
 
     @app.command()
     def board(  # pyright: ignore[reportUnusedFunction]
@@ -156,7 +156,7 @@ def _calibrate(
     if report is not None:
         written += write_report(found, report, autoreg.__version__)[:1]
     if as_json:
-        sys.stdout.write(output.read_text(encoding="utf-8"))
+        hand_over(output.read_text(encoding="utf-8"))
     tell(summary(found))
     for path in written:
         tell(f"wrote {path}")

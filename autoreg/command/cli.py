@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from autoreg.command.calibration_commands import add_calibration_commands
-from autoreg.command.cli_messages import listener_on_stderr, tell, tell_check, tell_outcome
+from autoreg.command.cli_messages import hand_over, listener_on_stderr, tell, tell_check, tell_outcome
 from autoreg.command.cli_render import (
     DemoOption,
     DofOption,
@@ -140,7 +140,7 @@ def render_command(
         if as_json:
             from autoreg.jobs.report import report_text
 
-            sys.stdout.write(report_text(outcome.report))
+            hand_over(report_text(outcome.report))
         for path in outcome.written:
             tell(f"wrote {path}")
         tell_check(outcome.report)
@@ -231,7 +231,7 @@ def _run(job: Job, *, as_json: bool) -> None:
     with listener_on_stderr() as listener:
         outcome = run_job(job, listener)
     if as_json:
-        sys.stdout.write(report_text(outcome.report))
+        hand_over(report_text(outcome.report))
     tell_outcome(outcome)
     failure = outcome.refusal or outcome.render_error
     if failure is not None:

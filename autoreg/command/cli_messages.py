@@ -21,6 +21,11 @@ def tell(text: str) -> None:
     print(text, file=sys.stderr)
 
 
+def hand_over(text: str) -> None:
+    """What was asked for on stdout, with its own line ends; nothing where stdout is closed (`>&-`)."""
+    print(text, end="")
+
+
 def tell_outcome(outcome: Outcome) -> None:
     """How an alignment ended: the answer or why there is none, what to beware of, what was written."""
     refusal, alignment = outcome.refusal, outcome.alignment

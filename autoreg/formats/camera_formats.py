@@ -27,6 +27,8 @@ _MATRIX = ("camera_matrix", "cameramatrix", "k")
 _DIST = ("distortion_coefficients", "dist_coeffs", "d")
 _MODEL = ("distortion_model", "camera_model")
 _FISHEYE = ("fisheye_model",)
+# The part of the calibrated frame that ROS's pictures show. Those that are binned have all of it, scaled.
+_REGION = ("roi",)
 _PLAIN_MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole")
 
 # Names of COLMAP's parameters per model, in the order of the file.
@@ -141,6 +143,7 @@ def _from_fields(fields: Mapping[str, object]) -> Camera:
         raise InputError(
             f"key {name!r} must read fx 0 cx / 0 fy cy / 0 0 1: skew is not supported; got {K.tolist()}"
         )
+    _refuse_region(fields, width, height)
     name, dist = array(fields, _DIST)
     return Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2], distortion(name, dist.ravel()))
 
@@ -155,6 +158,22 @@ def _refuse_other_models(fields: Mapping[str, object]) -> None:
         raise InputError(
             f"{found} is {model!r}, which is not supported; calibrate with plumb_bob or rational_polynomial, "
             "or undistort the photo and give its pinhole camera"
+        )
+
+
+def _refuse_region(fields: Mapping[str, object], width: int, height: int) -> None:
+    """Refuse a camera whose pictures show a part of the calibrated frame: how this was cut is not guessed."""
+    found = find(fields, _REGION)
+    region = None if found is None else fields[found]
+    if found is None or not isinstance(region, Mapping):
+        return
+    sides = ("x_offset", "y_offset", "width", "height")
+    x, y, w, h = (number(f"{found}.{side}", region.get(side, 0)) for side in sides)
+    if w > 0 and h > 0 and (w, h) != (width, height):
+        cut = f"{x:g},{y:g},{w:g},{h:g}"
+        raise InputError(
+            f"key {found!r} says that the pictures are a part of the calibrated {width}x{height} ({cut}); "
+            f"take the key out of the file, and say --crop {cut} if this photo was cut like that"
         )
 
 
