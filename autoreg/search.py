@@ -15,8 +15,8 @@ from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal, like_wall
 from autoreg.ground.sight import Looks, Sight
 from autoreg.paving.bond import bond_of_places
-from autoreg.paving.lattice_choice import Paving, rival, suited
-from autoreg.paving.lay import CERTAIN_NATS, lay_bond, lay_combs, lay_lattice
+from autoreg.paving.lattice_choice import PLAIN_NATS, Paving, rival, suited
+from autoreg.paving.lay import lay_bond, lay_combs, lay_lattice
 from autoreg.paving.plane_combs import (
     PROMISING_NATS,
     Hypothesis,
@@ -78,22 +78,22 @@ def find_paving(
     if camera is not None:
         coarse = sight.detection.coarse
         plain = glanced(coarse, *_hypotheses(coarse, sight.size, camera, walls=walls))
-        if _certain(plain):
+        if _plain(plain):
             return _unrivalled(plain)
     segments = sight.segments
     free, hypotheses = _hypotheses(segments, sight.size, camera, walls=walls)
     best = glanced(segments, free, hypotheses)
-    if not _certain(best):
+    if not _plain(best):
         ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
         for plane in ranked:
             pavings = suitable(lay_lattice(looks, plane, free))
             if pavings and (not best or pavings[0].margin_nats > best[0].margin_nats):
                 best = pavings
-            if _certain(best):
+            if _plain(best):
                 break
         if not best or best[0].margin_nats <= 0:
             plain = suitable(_by_other_focals(looks, ranked, free)) if camera is None else ()
-            if not _certain(plain):
+            if not _plain(plain):
                 fields = _fields_of_rows(looks, segments, sight.size, ranked)
                 plain = suitable(_by_cross_joints(looks, fields, free))
                 if not plain or plain[0].margin_nats <= 0:
@@ -123,13 +123,13 @@ def _by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tupl
         return ()
     for plane in with_other_focals(looks, planes[0])[:MOST_FOCALS]:
         pavings = lay_lattice(looks, plane, free, thorough=False)
-        if _certain(pavings):
+        if _plain(pavings):
             return pavings
     return ()
 
 
-def _certain(pavings: tuple[Paving, ...]) -> bool:
-    return bool(pavings) and pavings[0].margin_nats > CERTAIN_NATS
+def _plain(pavings: tuple[Paving, ...]) -> bool:
+    return bool(pavings) and pavings[0].plain
 
 
 def _unrivalled(pavings: tuple[Paving, ...]) -> Paving:
@@ -153,7 +153,7 @@ def other_camera(sight: Sight, camera: Camera, found: Paving | None = None) -> R
     free, hypotheses = _hypotheses(sight.segments, sight.size, None)
     other = _at_a_glance(sight.looks, sight.segments, hypotheses, free)
     explained = 0.0 if found is None else found.margin_nats
-    if other is None or other.margin_nats < explained + CERTAIN_NATS:
+    if other is None or other.margin_nats < explained + PLAIN_NATS:
         return None
     focal = other.fit.camera.scaled(camera.width, camera.height).fx
     alike = abs(np.log(focal / camera.fx)) < SAME_FOCAL

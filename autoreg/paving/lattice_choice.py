@@ -36,9 +36,9 @@ RIVAL_NATS = 3.0
 SUBDIVIDE_NATS = 6.0
 # How much better than a lattice a pattern of its absent sides must explain them to speak against it.
 DEPARTS_NATS = 10.0
-# Margins at which a small field is looked at by itself: less than the first comes to nothing, and more than
-# the second is clear already.
-CLOSER_LOOK = (-25.0, 40.0)
+# Beyond this margin a lattice is plain to see. Where it is less, a small field is looked at by itself, unless
+# it is so little that nothing comes of it.
+PLAIN_NATS, NOTHING_NATS = 40.0, -25.0
 # Crossings of two lattices that are nearer to each other than this, in slabs, are the same.
 SAME_PLACE = 1e-3
 # Sides that tell it, the largest in the picture, and places between them that they are held against.
@@ -75,6 +75,14 @@ class Paving:
             sum(self.evidence_nats) - TESTED_NATS - FALSE_ALARM_NATS,
             2.0 * (min(self.evidence_nats) - 0.5 * TESTED_NATS),
         )
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is plain to see over the picture, so that no other lattice need be looked for.
+
+        A small field may be all that a bad fit has met of a large one.
+        """
+        return self.closer is None and self.margin_nats > PLAIN_NATS
 
 
 def rival(pavings: tuple[Paving, ...]) -> Paving | None:
@@ -194,7 +202,7 @@ def presented(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | 
     if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
         return None
     paving = Paving(fit, presence, line_evidence(presence, fit.grid))
-    if not CLOSER_LOOK[0] < paving.margin_nats < CLOSER_LOOK[1]:
+    if not NOTHING_NATS < paving.margin_nats < PLAIN_NATS:
         return paving
     price = 0.5 * GROUND_COST
     closer = looked_at_closer(picture, fit, presence)

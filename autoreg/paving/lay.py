@@ -27,8 +27,6 @@ from autoreg.paving.plane_combs import PlaneCombs
 from autoreg.paving.presence import field_polygon, presence_of
 from autoreg.solve.freedom import Free
 
-# Beyond this margin no other start is tried.
-CERTAIN_NATS = 40.0
 # The most starts tried on one plane after its first.
 MOST_STARTS = 6
 # The most places at which joints are measured while a lattice is looked for.
@@ -66,7 +64,7 @@ def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free, *, thorough: bool =
         laid = _laid(looks, plane, start, free, both=bool(tried))
         tried.append(start)
         found += [] if laid is None else [laid]
-        if (laid is not None and laid.margin_nats > CERTAIN_NATS) or len(tried) > MOST_STARTS:
+        if (laid is not None and laid.plain) or len(tried) > MOST_STARTS:
             break
     return tuple(sorted(found, key=lambda paving: -paving.margin_nats))
 
