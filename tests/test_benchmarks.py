@@ -302,7 +302,7 @@ def test_the_documentation_takes_the_full_run_where_there_is_one_and_says_which(
     text = markdown(results, judged, PLACE)
     assert "- Ran in full: limit." in text
     assert "- Ran with `--quick`, few seeds and small pictures: truth." in text
-    assert "- Not run: refine, robust, vanishing, thesis, speed, scenes, real, variants." in text
+    assert "- Not run: refine, robust, vanishing, thesis, speed, scenes, boards, real, variants." in text
 
 
 def test_the_documentation_keeps_full_results_so_that_suites_can_be_renewed_one_by_one(stand_in: Path):
