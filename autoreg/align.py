@@ -218,18 +218,18 @@ def _measured(
     """
     # A wrong camera may leave rows of what is a lattice, or a small field of it.
     rows = isinstance(found, Rows)
-    if given is not None and (rows or found.closer is not None):
-        blamed = other_camera(sight, given, None if rows else found)
-        if blamed is not None:
-            raise blamed
+    little = rows or found.closer is not None
+    blamed = _other_camera(sight, given, None if rows else found) if little else None
+    if blamed is not None:
+        raise blamed
     if rows:
         return measured_rows(sight, picture, found, free, square=source == "photo")
     return measured_slabs(sight.looks.picture, picture, found, free, slab)
 
 
-def _other_camera(sight: Sight, given: Camera | None) -> Refusal | None:
-    """The refusal of a given camera, if the joints clearly fit another one."""
-    return None if given is None else other_camera(sight, given)
+def _other_camera(sight: Sight, given: Camera | None, found: Paving | None = None) -> Refusal | None:
+    """The refusal of a given camera, if the joints clearly fit another one better than what was found."""
+    return None if given is None else other_camera(sight, given, found)
 
 
 def _concluded(

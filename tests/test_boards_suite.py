@@ -51,13 +51,8 @@ def test_a_sets_camera_and_poses_come_from_its_corners(drawn: Path):
         assert view.camera.fx == pytest.approx(CAMERA.fx, rel=0.01)
         pose = scene.cam_from_board
         true = boards.towards_camera(pose.R, pose.t)
-        assert (
-            min(angle_up_to_quarter_turns(view.true, Rigid(true.R @ turn, true.t)) for turn in HALVES) < 0.3
-        )
-
-
-# A board says not which of its corners is the first.
-HALVES = (np.eye(3), np.diag([-1.0, -1.0, 1.0]))
+        # A board says not which of its corners is the first.
+        assert angle_up_to_quarter_turns(view.true, true) < 0.3
 
 
 def test_too_few_boards_make_no_set(tmp_path: Path, drawn: Path):
@@ -100,7 +95,5 @@ def test_a_floor_is_read_from_its_publishers_file_and_judged_by_its_normal(tmp_p
 
 
 def test_without_any_the_suite_is_skipped_with_a_word(tmp_path: Path):
-    missing = tmp_path / "none"
-    assert "--chessboards" in (
-        boards.run(Options(tmp_path, chessboards=missing, groundgrid=missing)).skipped or ""
-    )
+    options = Options(tmp_path, chessboards=tmp_path / "none", groundgrid=tmp_path / "none")
+    assert "--chessboards" in (boards.run(options).skipped or "")

@@ -7,9 +7,7 @@ import pytest
 from paved import CAMERA, CHECKER, gray_of
 
 from autoreg.align import align
-from autoreg.geometry import angle_between_rotations
 from autoreg.ground.crowd import crowded_window
-from autoreg.ground.ground_frame import turned
 from autoreg.ground.points import on_ground
 from autoreg.ground.rectify import Window
 from autoreg.ground.sides import ALONG_X
@@ -20,7 +18,7 @@ from autoreg.paving.multiples import divided
 from autoreg.search import find_paving, other_camera
 from autoreg.segments import Segments
 from autoreg.synthetic import render_paving
-from benchmarks.suites.robust import square_seen
+from benchmarks.suites.robust import angle_up_to_quarter_turns, square_seen
 
 POSE = CHECKER.cam_from_ground
 HEIGHT = float(POSE.origin_in_a[2])
@@ -97,8 +95,7 @@ def small_board(share: float = SHARE) -> np.ndarray:
 def test_a_board_that_fills_a_small_part_of_the_picture_is_found_by_its_crowd():
     gray = small_board()
     found = align(gray, CAMERA, slab=TILES.spacing_m).pose.cam_from_ground
-    turns = [angle_between_rotations(turned(found, q).R, POSE.R) for q in range(4)]
-    assert np.rad2deg(min(turns)) < 0.1
+    assert angle_up_to_quarter_turns(found, POSE) < 0.1
     assert found.origin_in_a[2] == pytest.approx(HEIGHT, rel=2e-3)
 
 
