@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from autoreg.answer.last_step import likeliest
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import refine_until_still
@@ -167,6 +168,19 @@ def test_lit_walls_leave_the_stated_covariance_true():
     ]
     # Chi-square of 6 degrees of freedom: 99.9 % lie below 22.5.
     assert away @ np.linalg.solve(lit.covariance, away) < 22.5
+
+
+def test_widths_of_something_beside_the_joints_have_no_say():
+    fit = fitted()
+    picture = np.zeros((900, 1200), np.float32)
+    expected = width_px_of(fit.strip, fit.stations, fit.profiles)
+    beside = replace(fit)
+    beside.__dict__["widths"] = replace(
+        fit.widths, middle_px=fit.widths.middle_px + 0.9 * expected, width_px=0.4 * fit.widths.width_px
+    )
+    plain = settle(fit).fit
+    assert joints_moved_px(settle(beside).fit, plain) > 0.5 * float(np.median(expected))
+    assert joints_moved_px(likeliest(picture, beside).fit, plain) < 0.02 * float(np.median(expected))
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1])

@@ -47,17 +47,15 @@ def lay_combs(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:
     return None if start is None else _laid(looks, plane, start, free)
 
 
-def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free, *, thorough: bool = True) -> tuple[Paving, ...]:
+def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ...]:
     """The lattices that several starts on a plane lead to, the one that explains the picture best first.
 
     Where both families repeat as whole lines, they are the start. A running bond seen from afar, or one with
-    an unusual shift, shows its cross joints only course by course. All looks at the picture give starts if
-    `thorough`, else the finer one alone.
+    an unusual shift, shows its cross joints only course by course. All looks at the picture give starts.
     """
     found: list[Paving] = []
     tried: list[_Start] = []
-    seen = (looks.coarse, looks.fine, looks.unshaded) if thorough else (looks.fine,)
-    for start in _starts(seen, plane):
+    for start in _starts((looks.coarse, looks.fine, looks.unshaded), plane):
         if any(start.like(other) for other in tried):
             continue
         # The first start may be refined to a finer lattice whose joints its own miss.

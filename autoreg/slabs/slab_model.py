@@ -43,8 +43,11 @@ NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0)),)
 # by how much less likely one is that no longer counts, nor do those beyond.
 LIKELY, NEGLIGIBLE_NATS = ((1.0, 0.75, 0.55), (1.33, 1.8)), 9.0
 # Where the widths tell the relief, its shape varies beyond the model: the variance is this much larger, as
-# measured on ray-traced pavings.
-MISFIT = 1.6
+# measured on ray-traced pavings. That shows where the slabs lie even: such shapes are some hundredths of the
+# joints' width, and the scatter of slabs that lie aside by more than this share of it outweighs them.
+MISFIT, DROWNED = 1.6, 0.03
+# ... and what the relief moves the pose by is known to no better than this share of itself.
+VAGUE = 0.3
 # The sizes of the effects are searched on blocks of so many slabs square, with about so many stations in all.
 BLOCK_SLABS, SEARCHED = 4, 600
 # Height of the bow that even ground may have, as a share of its extent: 3 mm under a straightedge of 2 m.
@@ -118,22 +121,24 @@ def estimate_motion(
     for _ in range(2):
         model.reweigh(sizes, relief)
     found = _likely(model, sizes)
-    value = np.array([f[0] for f in found])
-    weight = np.exp(value - value.max())
-    weight /= weight.sum()
-    mean = np.tensordot(weight, np.array([f[1] for f in found]), 1)
+    value, moved, inner = (np.array(each) for each in zip(*found, strict=True))
+    weight = _weights(value)
+    mean = weight @ moved
     # What differs between likely scatters is uncertainty too; it matters where slabs are few.
-    away = np.array([f[1] for f in found]) - mean
-    inner = np.array([f[2] for f in found]) + away[:, :, None] * away[:, None, :]
+    away = moved - mean
+    inner = inner + away[:, :, None] * away[:, None, :]
+    flat = slice(0, None, len(RELIEFS))
+    by_relief = mean - _weights(value[flat]) @ moved[flat]
     if near is not None:
         misfit = near.misfit
     elif len(model.joints.wide):
-        flat = float(weight[:: len(RELIEFS)].sum())
-        misfit = 1.0 + (MISFIT - 1.0) * (1.0 - flat)
+        sunk = 1.0 - float(weight[flat].sum())
+        aside = sizes[0] * float(np.hypot(1.0, sizes[-1])) / (DROWNED * model.joints.width)
+        misfit = 1.0 + (MISFIT - 1.0) * sunk / (1.0 + aside**2)
     else:
         model.factor(sizes)
         misfit = max(1.0, model.misfit(relief))
-    spread = np.tensordot(weight, inner, 1) * misfit
+    spread = np.tensordot(weight, inner, 1) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
     parameters, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
     parameters[model.free] = mean * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
@@ -141,6 +146,12 @@ def estimate_motion(
     relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
     scatter = Scatter(place, place * lift, place * turn / fit.grid.slab_side, place * course, relief, misfit)
     return Estimate(parameters, covariance, scatter)
+
+
+def _weights(value: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Probabilities of scatters whose log likelihoods these are."""
+    weight = np.exp(value - value.max())
+    return weight / weight.sum()
 
 
 def _likely(model: SlabEquations, sizes: Sizes) -> list[tuple[float, np.ndarray, np.ndarray]]:
