@@ -132,13 +132,13 @@ class Lines:
     count: Int32[np.ndarray, " s"]
     order: Int[np.ndarray, " s"]
     block: Int[np.ndarray, " k"]
-    place: Int32[np.ndarray, "lines phases"]
+    place: Int[np.ndarray, "lines phases"]
 
     def gain(
         self, llr: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]
     ) -> Float32[np.ndarray, "lines phases"]:
         """Log likelihood ratio of each line; zero where it is not seen."""
-        return np.append(np.where(valid, llr, 0.0), 0.0).astype(np.float32)[self.place]
+        return np.append(np.where(valid, llr, 0.0), 0.0).astype(np.float32).take(self.place)
 
     def blocks(self, values: np.ndarray) -> Iterator[np.ndarray]:
         """The rows of each line number, from the first one on."""
@@ -170,14 +170,16 @@ def predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray,
     phase = np.arange(PHASES, dtype=np.float32) / PHASES
     # An entry at either end of the table stands for all places outside.
     finest = np.pad((MIN_STEP * np.gradient(offset)[row]).astype(np.float32), 1, constant_values=np.inf)
-    row = np.pad(row, 1, constant_values=len(offset))
-    place = np.empty((len(line), PHASES), np.int32)
+    row = np.pad(row, 1, constant_values=len(offset)).astype(np.intp)
+    # In the type that NumPy looks up by: it would turn any other into it each time.
+    place = np.empty((len(line), PHASES), np.intp)
     for start in range(0, len(line), AT_ONCE):
         some = slice(start, start + AT_ONCE)
         spacing = spacings[member[some], None].astype(np.float32)
         at = np.rint((line[some, None] + phase) * (spacing * scale) - np.float32(low * scale))
-        index = np.clip(at + 1, 0, TABLE + 1).astype(np.intp)
-        place[some] = np.where(finest[index] <= spacing, row[index], len(offset))
+        index = (at + 1).astype(np.intp)
+        known = finest.take(index, mode="clip") <= spacing
+        place[some] = np.where(known, row.take(index, mode="clip"), len(offset))
     return Lines(spacings, first, count, order, block, place)
 
 
@@ -189,7 +191,7 @@ def comb_scores(
     both = np.append(np.where(valid, llr + 1j, 0.0), 0.0).astype(np.complex64)
     sums = np.zeros((len(lines.order), PHASES), np.complex64)
     for place in lines.blocks(lines.place):
-        sums[: len(place)] += both[place]
+        sums[: len(place)] += both.take(place)
     return lines.sorted(np.where(sums.imag >= min_lines, sums.real, -np.inf).astype(float))
 
 
