@@ -16,7 +16,7 @@ from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_fo
 from autoreg.ground.sight import Looks, Sight
 from autoreg.paving.bond import bond_of_places
 from autoreg.paving.lattice_choice import PLAIN_NATS, Paving, rival, suited
-from autoreg.paving.lay import lay_bond, lay_combs, lay_lattice
+from autoreg.paving.lay import lay_bond, lay_combs, lay_first, lay_lattice
 from autoreg.paving.plane_combs import (
     PROMISING_NATS,
     Hypothesis,
@@ -120,12 +120,12 @@ def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
 def _by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tuple[Paving, ...]:
     """The lattice that is plain to see on the clearest plane by another focal length, if any is.
 
-    By the right one its combs show it: other starts, which take several times as long, never did it.
+    By the right one the first start shows it: others, which take several times as long, never did.
     """
     if not planes or planes[0].score < PROMISING_NATS:
         return ()
     for plane in with_other_focals(looks, planes[0])[:MOST_FOCALS]:
-        laid = lay_combs(looks, plane, free)
+        laid = lay_first(looks, plane, free)
         if laid is not None and laid.plain:
             return (laid,)
     return ()

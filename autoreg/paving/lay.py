@@ -67,6 +67,12 @@ def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ..
     return tuple(sorted(found, key=lambda paving: -paving.margin_nats))
 
 
+def lay_first(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:
+    """The lattice that the first start on a plane leads to: its best combs, else the clearest near by."""
+    start = next(_starts((looks.fine,), plane), None)
+    return None if start is None else _laid(looks, plane, start, free)
+
+
 def lay_bond(looks: Looks, plane: PlaneCombs, pose: Rigid, grid: Grid, free: Free) -> Paving | None:
     """The lattice that a bond seen by such a pose leads to, if any."""
     return _laid(looks, plane, _Start(pose, grid), free)

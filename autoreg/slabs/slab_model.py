@@ -78,9 +78,13 @@ class Scatter:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Solution of the mixed model: a small motion from the fit, its covariance, and the scatter."""
+    """Solution of the mixed model: a small motion from the fit, its covariance, and the scatter.
+
+    `by_relief` is the part of the motion that flat joints would not ask for.
+    """
 
     parameters: Float[np.ndarray, " p"]
+    by_relief: Float[np.ndarray, " p"]
     covariance: Float[np.ndarray, "p p"]
     scatter: Scatter
 
@@ -139,13 +143,13 @@ def estimate_motion(
         model.factor(sizes)
         misfit = max(1.0, model.misfit(relief))
     spread = np.tensordot(weight, inner, 1) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
-    parameters, covariance = np.zeros(PARAMETERS), np.zeros((PARAMETERS, PARAMETERS))
-    parameters[model.free] = mean * model.unit
+    (parameters, relieved), covariance = np.zeros((2, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
+    parameters[model.free], relieved[model.free] = mean * model.unit, by_relief * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
     place, lift, turn, course = sizes
     relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
     scatter = Scatter(place, place * lift, place * turn / fit.grid.slab_side, place * course, relief, misfit)
-    return Estimate(parameters, covariance, scatter)
+    return Estimate(parameters, relieved, covariance, scatter)
 
 
 def _weights(value: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:

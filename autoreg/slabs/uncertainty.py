@@ -17,13 +17,15 @@ from autoreg.solve.freedom import moved_camera, moved_pose, stretched
 class Settled:
     """A fit at the pose that the mixed model makes likeliest.
 
-    `covariance` is of (rotation vector, translation) of a small motion on the camera's side. `narrowing` is
-    by what share of their width joints look narrower at a slope of one than from above, as sunk ones do.
+    `covariance` is of (rotation vector, translation) of a small motion on the camera's side. `relieved` is
+    how far on the ground joints were moved since they are no flat ones (RMS). `narrowing` is by what share of
+    their width joints look narrower at a slope of one than from above, as sunk ones do.
     """
 
     fit: Fit
     covariance: Float[np.ndarray, "6 6"]
     scatter: Scatter
+    relieved: float = 0.0
     narrowing: float = 0.0
 
 
@@ -36,7 +38,9 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
     bow = BOW if fit.free.focal else 0.0
     estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera), bow=bow, widths=widths)
     moved = moved_fit(fit, estimate.parameters)
-    return Settled(moved, on_camera_side(estimate.covariance, moved.cam_from_ground), estimate.scatter)
+    covariance = on_camera_side(estimate.covariance, moved.cam_from_ground)
+    by_relief = (fit.solution.jacobian @ estimate.by_relief / fit.profiles.px_per_unit)[fit.usable]
+    return Settled(moved, covariance, estimate.scatter, float(np.sqrt(np.mean(by_relief**2))))
 
 
 def moved_fit(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:
