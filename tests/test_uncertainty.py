@@ -15,14 +15,15 @@ from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
+from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.image import as_gray
 from autoreg.slabs import camera_check
 from autoreg.slabs.camera_check import check_camera
 from autoreg.slabs.slab_model import estimate_motion
-from autoreg.slabs.uncertainty import Settled, settle
+from autoreg.slabs.uncertainty import Settled, moved_fit, relinearised, settle
 from autoreg.solve.freedom import Free
-from autoreg.solve.joint_data import FOCAL, PARAMETERS
+from autoreg.solve.joint_data import FOCAL, PARAMETERS, RATIO
 from autoreg.solve.solver import Prior
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 
@@ -151,6 +152,47 @@ def test_settling_lands_nearer_to_the_truth_than_the_fit_with_independent_statio
 
     fits = [fitted(0.002, seed) for seed in range(6)]
     assert np.mean([miss(settle(f).fit) ** 2 for f in fits]) < np.mean([miss(f) ** 2 for f in fits])
+
+
+def with_unknown_camera(fit: Fit) -> Fit:
+    """The fit as one whose camera and ratio of sides are solved for as well."""
+    size = float(fit.camera.width)
+    free = Free(
+        ratio=True, focal=True, centre=True, radial=True, nominal=fit.camera, focal_sigma=0.5,
+        centre_sigma_px=0.02 * size, radial_sigma=0.1,
+    )  # fmt: skip
+    return replace(fit, free=free)
+
+
+def moved_far(fit: Fit) -> Fit:
+    """The fit where a camera of another focal length, turned by three degrees, sees its joints."""
+    motion = np.zeros(PARAMETERS)
+    motion[:3], motion[RATIO], motion[FOCAL] = (0.05, -0.02, 0.01), 0.02, 0.08
+    motion[3:6] = fit.cam_from_ground.t - rotation_from_vector(motion[:3]) @ fit.cam_from_ground.t
+    return relinearised(fit, moved_fit(fit, motion))
+
+
+def test_a_fit_that_is_moved_knows_the_distances_and_the_slopes_where_it_is() -> None:
+    far = moved_far(with_unknown_camera(fitted(0.002, 1)))
+    px = project_ground(far.camera, far.cam_from_ground, far.stations.ground)
+    measured = far.profiles.centre_px + far.offsets.offset_px[:, None] * far.profiles.normal
+    assert far.distances_px == pytest.approx(((px - measured) * far.profiles.normal).sum(1), abs=1e-9)
+    # The stations are stretched with the lattice, whose joints lie at whole multiples of its spacing.
+    along = far.stations.family == ALONG_X
+    assert far.stations.ground[along, 1] / far.grid.spacing_y == pytest.approx(far.stations.line[along])
+    for parameter in (0, 4, RATIO, FOCAL):
+        step = np.zeros(PARAMETERS)
+        step[parameter] = 1e-5
+        moved = moved_fit(far, step)
+        assert relinearised(far, moved).distances_px == pytest.approx(moved.distances_px, abs=1e-4)
+
+
+def test_the_likeliest_pose_of_an_unknown_camera_is_the_same_from_wherever_it_is_looked_for() -> None:
+    near = with_unknown_camera(fitted(0.002, 1))
+    one, other = settle(near, widths=False), settle(moved_far(near), widths=False)
+    turn = vector_from_rotation(other.fit.cam_from_ground.R @ one.fit.cam_from_ground.R.T)
+    assert np.linalg.norm(turn) < 0.1 * np.sqrt(np.trace(one.covariance[:3, :3]))
+    assert other.fit.camera.fx == pytest.approx(one.fit.camera.fx, rel=2e-3)
 
 
 def test_knowledge_of_a_parameter_is_kept_where_it_is_tighter_than_the_photo() -> None:

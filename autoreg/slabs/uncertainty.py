@@ -8,9 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from autoreg.fitting.fit import Fit
+from autoreg.fitting.refine import joint_data
 from autoreg.geometry import Rigid
-from autoreg.slabs.slab_model import BOW, Scatter, estimate_motion
+from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
 from autoreg.solve.freedom import moved_camera, moved_pose, stretched
+from autoreg.solve.joint_data import PARAMETERS, RATIO
+from autoreg.solve.solver import solve_joints
+
+# Where the camera is solved for, the likeliest pose may be so far from the fit that the Jacobian there is
+# another one. What a motion leaves may be wrong by this share (RMS), else it goes on from there, so often.
+STRAIGHT, MOST_MOVES = 0.03, 6
 
 
 @dataclass(frozen=True)
@@ -35,12 +42,24 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
     The joints' `widths` have a say if that is asked for. Where the camera is not known, ground that is a
     little bent would be taken for another one.
     """
-    bow = BOW if fit.free.focal else 0.0
-    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera), bow=bow, widths=widths)
-    moved = moved_fit(fit, estimate.parameters)
+    estimate, moved = _likeliest(fit, widths)
+    for _ in range(MOST_MOVES):
+        there = relinearised(fit, moved)
+        wrong = (there.distances_px - moved.distances_px)[fit.usable]
+        if _rms(wrong) < STRAIGHT * _rms(moved.distances_px[fit.usable]):
+            break
+        fit = there
+        estimate, moved = _likeliest(fit, widths)
     covariance = on_camera_side(estimate.covariance, moved.cam_from_ground)
     by_relief = (fit.solution.jacobian @ estimate.by_relief / fit.profiles.px_per_unit)[fit.usable]
-    return Settled(moved, covariance, estimate.scatter, float(np.sqrt(np.mean(by_relief**2))))
+    return Settled(moved, covariance, estimate.scatter, _rms(by_relief))
+
+
+def _likeliest(fit: Fit, widths: bool) -> tuple[Estimate, Fit]:
+    """The likeliest motion of what a fit solves for, and the fit moved by it."""
+    bow = BOW if fit.free.focal else 0.0
+    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera), bow=bow, widths=widths)
+    return estimate, moved_fit(fit, estimate.parameters)
 
 
 def moved_fit(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:
@@ -53,6 +72,32 @@ def moved_fit(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:
         grid=stretched(fit.grid, step),
         distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
     )
+
+
+def relinearised(fit: Fit, moved: Fit) -> Fit:
+    """A fit where it was moved to, with the distances and the Jacobian there; its joints stay as measured."""
+    grid, stretch = moved.grid, np.exp(0.5 * fit.solution.parameters[RATIO] * np.array([1.0, -1.0]))
+    # The stations are where the lattice was before the fit's own solve stretched it.
+    stretch = stretch * [
+        (grid.spacing_x or 1.0) / (fit.grid.spacing_x or 1.0),
+        grid.spacing_y / fit.grid.spacing_y,
+    ]
+    stations = replace(moved.stations, ground=moved.stations.ground * stretch)
+    data = joint_data(
+        moved.camera,
+        moved.cam_from_ground,
+        stations,
+        moved.profiles,
+        moved.offsets,
+        moved.sigma_px,
+        moved.usable,
+    )
+    here = solve_joints(data, np.zeros(PARAMETERS))
+    return replace(moved, stations=stations, distances_px=here.distances_px, solution=here)
+
+
+def _rms(values: Float[np.ndarray, " n"]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def on_camera_side(covariance: Float[np.ndarray, "p p"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
