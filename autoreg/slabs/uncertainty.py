@@ -45,8 +45,8 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
     estimate, moved = _likeliest(fit, widths)
     for _ in range(MOST_MOVES):
         there = relinearised(fit, moved)
-        wrong = (there.distances_px - moved.distances_px)[fit.usable]
-        if _rms(wrong) < STRAIGHT * _rms(moved.distances_px[fit.usable]):
+        wrong = _rms((there.distances_px - moved.distances_px)[fit.usable])
+        if not np.isfinite(wrong) or wrong < STRAIGHT * _rms(moved.distances_px[fit.usable]):
             break
         fit = there
         estimate, moved = _likeliest(fit, widths)
