@@ -243,10 +243,8 @@ def _concluded(
     fit, settled, squared = laid.fit, laid.settled, laid.squared
     field = settled.presence.field
     # A camera that comes from the joints themselves is nothing that they could contradict.
-    own = source == "photo"
-    check = check_camera(
-        laid.likeliest.fit if own else fit, None if own else picture, field, laid.likeliest.scatter
-    )
+    told_by, asked = (laid.likeliest.fit, None) if source == "photo" else (fit, picture)
+    check = check_camera(told_by, asked, field, laid.likeliest.scatter)
     last = rested(picture, laid.likeliest, REACH, field)
     fit, told = last.fit, fit.grid.spacing_x is not None
     if source == "photo" and told and check.focal_sigma_px > MOST_SLABS_FOCAL_SIGMA * check.focal_px:

@@ -136,8 +136,7 @@ def refine_until_still(
 
 def _motion_px(fit: Fit, camera: Camera, pose: Rigid, grid: Grid) -> float:
     """RMS motion, across the joints, of the fit's stations from an earlier state."""
-    a = (fit.grid.spacing_x or 1.0) / (grid.spacing_x or 1.0)
-    stretched_ground = fit.stations.ground * [a, fit.grid.spacing_y / grid.spacing_y]
+    stretched_ground = fit.stations.ground * fit.grid.stretch_from(grid)
     now = project_ground(fit.camera, fit.cam_from_ground, stretched_ground)
     was = project_ground(camera, pose, fit.stations.ground)
     across = ((now - was) * fit.profiles.normal).sum(1)

@@ -30,6 +30,11 @@ class Grid:
         """Geometric mean of a slab's sides; those of rows are taken for squares."""
         return float(np.sqrt((self.spacing_x or self.spacing_y) * self.spacing_y))
 
+    def stretch_from(self, other: Grid) -> Float[np.ndarray, "2"]:
+        """Factors by which this lattice's spacings exceed another's; one where a spacing is not known."""
+        along_x = (self.spacing_x or 1.0) / (other.spacing_x or 1.0)
+        return np.array([along_x, self.spacing_y / other.spacing_y])
+
 
 @dataclass(frozen=True)
 class Sides:

@@ -158,7 +158,8 @@ class Lines:
 def predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray, " s"]) -> Lines:
     """All lines of every spacing and phase between the first and the last offset."""
     low, high = float(offset[0]), float(offset[-1])
-    row = np.rint(np.interp(np.linspace(low, high, TABLE), offset, np.arange(len(offset)))).astype(np.int32)
+    # Rows are of the type that NumPy looks up by: it would turn any other into it each time.
+    row = np.rint(np.interp(np.linspace(low, high, TABLE), offset, np.arange(len(offset)))).astype(np.intp)
     first = np.floor(low / spacings).astype(np.int32)
     count = np.floor(high / spacings).astype(np.int32) + 1 - first
     order = np.argsort(-count, kind="stable")
@@ -170,8 +171,7 @@ def predicted_lines(offset: Float[np.ndarray, " n"], spacings: Float[np.ndarray,
     phase = np.arange(PHASES, dtype=np.float32) / PHASES
     # An entry at either end of the table stands for all places outside.
     finest = np.pad((MIN_STEP * np.gradient(offset)[row]).astype(np.float32), 1, constant_values=np.inf)
-    row = np.pad(row, 1, constant_values=len(offset)).astype(np.intp)
-    # In the type that NumPy looks up by: it would turn any other into it each time.
+    row = np.pad(row, 1, constant_values=len(offset))
     place = np.empty((len(line), PHASES), np.intp)
     for start in range(0, len(line), AT_ONCE):
         some = slice(start, start + AT_ONCE)

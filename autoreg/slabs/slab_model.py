@@ -133,15 +133,8 @@ def estimate_motion(
     inner = inner + away[:, :, None] * away[:, None, :]
     flat = slice(0, None, len(RELIEFS))
     by_relief = mean - _weights(value[flat]) @ moved[flat]
-    if near is not None:
-        misfit = near.misfit
-    elif len(model.joints.wide):
-        sunk = 1.0 - float(weight[flat].sum())
-        aside = sizes[0] * float(np.hypot(1.0, sizes[-1])) / (DROWNED * model.joints.width)
-        misfit = 1.0 + (MISFIT - 1.0) * sunk / (1.0 + aside**2)
-    else:
-        model.factor(sizes)
-        misfit = max(1.0, model.misfit(relief))
+    sunk = 1.0 - float(weight[flat].sum())
+    misfit = _misfit(model, sizes, relief, sunk) if near is None else near.misfit
     spread = np.tensordot(weight, inner, 1) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
     (parameters, relieved), covariance = np.zeros((2, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
     parameters[model.free], relieved[model.free] = mean * model.unit, by_relief * model.unit
@@ -150,6 +143,15 @@ def estimate_motion(
     relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
     scatter = Scatter(place, place * lift, place * turn / fit.grid.slab_side, place * course, relief, misfit)
     return Estimate(parameters, relieved, covariance, scatter)
+
+
+def _misfit(model: SlabEquations, sizes: Sizes, relief: float, sunk: float) -> float:
+    """How much larger the variance is than the model's, of joints that are `sunk` with such a probability."""
+    if not len(model.joints.wide):
+        model.factor(sizes)
+        return max(1.0, model.misfit(relief))
+    aside = sizes[0] * float(np.hypot(1.0, sizes[-1])) / (DROWNED * model.joints.width)
+    return 1.0 + (MISFIT - 1.0) * sunk / (1.0 + aside**2)
 
 
 def _weights(value: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:

@@ -76,22 +76,14 @@ def moved_fit(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:
 
 def relinearised(fit: Fit, moved: Fit) -> Fit:
     """A fit where it was moved to, with the distances and the Jacobian there; its joints stay as measured."""
-    grid, stretch = moved.grid, np.exp(0.5 * fit.solution.parameters[RATIO] * np.array([1.0, -1.0]))
     # The stations are where the lattice was before the fit's own solve stretched it.
-    stretch = stretch * [
-        (grid.spacing_x or 1.0) / (fit.grid.spacing_x or 1.0),
-        grid.spacing_y / fit.grid.spacing_y,
-    ]
-    stations = replace(moved.stations, ground=moved.stations.ground * stretch)
+    by_solve = np.exp(0.5 * fit.solution.parameters[RATIO] * np.array([1.0, -1.0]))
+    ground = moved.stations.ground * by_solve * moved.grid.stretch_from(fit.grid)
+    stations = replace(moved.stations, ground=ground)
     data = joint_data(
-        moved.camera,
-        moved.cam_from_ground,
-        stations,
-        moved.profiles,
-        moved.offsets,
-        moved.sigma_px,
+        moved.camera, moved.cam_from_ground, stations, moved.profiles, moved.offsets, moved.sigma_px,
         moved.usable,
-    )
+    )  # fmt: skip
     here = solve_joints(data, np.zeros(PARAMETERS))
     return replace(moved, stations=stations, distances_px=here.distances_px, solution=here)
 
