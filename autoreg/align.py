@@ -224,7 +224,7 @@ def _measured(
         raise blamed
     if rows:
         return measured_rows(sight, picture, found, free, square=source == "photo")
-    return measured_slabs(sight.looks.picture, picture, found, free, slab)
+    return measured_slabs(sight, picture, found, free, slab)
 
 
 def _other_camera(sight: Sight, given: Camera | None, found: Paving | None = None) -> Refusal | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from autoreg.answer.last_step import likeliest
-from autoreg.answer.refusals import arcs, fanned, focal_untold, maybe_wall, no_lattice
+from autoreg.answer.refusals import arcs, fanned, focal_untold, maybe_wall, no_lattice, turning
 from autoreg.answer.right_angles import Squared, square_up
 from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal
@@ -24,6 +24,7 @@ from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
 from autoreg.rows.slab_lengths import longer_than_wide, slab_lengths
+from autoreg.rows.turning_stones import common_turn
 from autoreg.segments import Segments
 from autoreg.slabs.uncertainty import Settled
 from autoreg.solve.freedom import Free
@@ -81,16 +82,17 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
 
 
 def measured_slabs(
-    small: np.ndarray, picture: np.ndarray, found: Paving, free: Free, slab: tuple[float, float] | None
+    sight: Sight, picture: np.ndarray, found: Paving, free: Free, slab: tuple[float, float] | None
 ) -> Laid:
-    """A lattice, with the slab's ratio of sides if that is given; `small` is the photo at detection scale.
+    """A lattice, with the slab's ratio of sides if that is given.
 
     Raises:
         Refusal: it cannot be of such slabs, its joints are arcs, or it vanishes at full resolution.
     """
+    small = sight.looks.picture
     start = found if slab is None else of_slab_shape(small, found, slab, free)
     fit = from_what_shows(_measure(picture, start, free))
-    bowed = _bowed(fit)
+    bowed = _bowed(fit) or turning(common_turn(sight.segments, fit, found.presence.field))
     if bowed is not None:
         raise bowed
     settled = presented(small, _at_detection_scale(fit, small, start))

@@ -225,6 +225,20 @@ def fanned(change: Lean | None) -> Refusal | None:
     )
 
 
+def turning(turn: Lean | None) -> Refusal | None:
+    """The refusal of stones that turn across their field as those of fans do; None if they may not."""
+    degrees = None if turn is None else _clear_deg(turn.angle, turn.sigma, MOST_FANNED_DEG)
+    if degrees is None:
+        return None
+    return Refusal(
+        "no_lattice",
+        f"these stones turn by {degrees:.0f} degrees from one side of their field to the other, as those of "
+        "fans and rings do; photograph slabs in straight rows",
+        measured=round(degrees, 1),
+        limit=MOST_FANNED_DEG,
+    )
+
+
 def arcs(arc: Arc | None) -> Refusal | None:
     """The refusal of unbroken joints that bow alike; None if they may be straight."""
     degrees = None if arc is None else _clear_deg(arc.turn, arc.sigma, MOST_ARC_DEG)

@@ -175,6 +175,16 @@ def _patternless(layout: str) -> Callable[[Scene, np.random.Generator], Scene]:
     return make
 
 
+def _curved(layout: str) -> Callable[[Scene, np.random.Generator], Scene]:
+    def make(s: Scene, r: np.random.Generator) -> Scene:
+        sett = r.uniform(0.08, 0.25)
+        return _pave(
+            s, layout=layout, slab_m=(sett, sett), joint_m=0.1 * sett, half_size_m=5.0, place_jitter_m=0.003
+        )
+
+    return make
+
+
 KINDS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
     "easy": lambda s, r: s,
     "rect": lambda s, r: _pave(s, slab_m=RECTS[r.integers(len(RECTS))]),
@@ -227,6 +237,9 @@ KINDS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
     ),
     "refuse-wall": _wall,
     "compound": _compound,
+    # A scene's seed counts the kinds before its own, so that new ones come last.
+    "refuse-rings": _curved("rings"),
+    "refuse-waves": _curved("waves"),
 }
 
 

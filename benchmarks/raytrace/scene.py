@@ -9,7 +9,18 @@ from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 
 Layout = Literal[
-    "lattice", "rows", "planks", "herringbone", "fan", "crazy", "gravel", "asphalt", "grass", "wall"
+    "lattice",
+    "rows",
+    "planks",
+    "herringbone",
+    "fan",
+    "rings",
+    "waves",
+    "crazy",
+    "gravel",
+    "asphalt",
+    "grass",
+    "wall",
 ]
 
 

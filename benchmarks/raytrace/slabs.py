@@ -41,6 +41,38 @@ def _fan(paving: Paving, centre: np.ndarray, half: float) -> Slabs:
     return Slabs(middle, size, turn, np.zeros(len(middle), int))
 
 
+def _rings(paving: Paving, centre: np.ndarray, half: float, rng: np.random.Generator) -> Slabs:
+    """Setts in rings about a point at the field's edge, as many to a ring as find room."""
+    sett = paving.slab_m[0]
+    away, radius = rng.uniform(0.3, 1.0) * half, np.arange(2, int(2 * half / sett)) * sett
+    way = rng.uniform(0.0, 2 * np.pi)
+    hub = centre + away * np.array([np.cos(way), np.sin(way)])
+    middles, turns = [], []
+    for r in radius:
+        count = int(2 * np.pi * r / sett)
+        angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(count) / count
+        middles.append(hub + r * np.column_stack([np.cos(angle), np.sin(angle)]))
+        turns.append(np.rad2deg(angle))
+    middle, turn = np.concatenate(middles), np.concatenate(turns)
+    near = np.abs(middle - centre).max(1) < half
+    size = np.full((len(middle), 2), sett - paving.joint_m)
+    return Slabs(middle, size, turn, np.zeros(len(middle), int)).keep(near)
+
+
+def _waves(paving: Paving, centre: np.ndarray, half: float, rng: np.random.Generator) -> Slabs:
+    """Setts in rows that go up and down together, each row at the setts' own pitch from the next."""
+    sett = paving.slab_m[0]
+    length, rise = rng.uniform(8.0, 20.0) * sett, rng.uniform(0.6, 1.5) * sett
+    x = np.arange(-half, half, sett)
+    phase = 2 * np.pi * x / length
+    slope = rise * 2 * np.pi / length * np.cos(phase)
+    y = np.arange(-half, half, sett * float(np.sqrt(1.0 + slope.max() ** 2)))
+    middle = np.stack([np.tile(x, (len(y), 1)), y[:, None] + rise * np.sin(phase)], -1).reshape(-1, 2)
+    turn = np.tile(np.rad2deg(np.arctan(slope)), len(y))
+    size = np.full((len(middle), 2), sett - paving.joint_m)
+    return Slabs(centre + middle, size, turn, np.zeros(len(middle), int))
+
+
 def _herringbone(paving: Paving, centre: np.ndarray, half: float) -> Slabs:
     """Bricks twice as long as wide, each at a right angle to its neighbours."""
     side = paving.slab_m[1]
@@ -92,6 +124,10 @@ def lay(paving: Paving, centre_m: np.ndarray, rng: np.random.Generator) -> Slabs
         return _herringbone(paving, centre_m, half)
     if paving.layout == "fan":
         return _fan(paving, centre_m, half)
+    if paving.layout == "rings":
+        return _rings(paving, centre_m, half, rng)
+    if paving.layout == "waves":
+        return _waves(paving, centre_m, half, rng)
     if paving.layout == "planks":
         b = paving.slab_m[1]
         j = np.arange(int((centre_m[1] - half) / b), int((centre_m[1] + half) / b))

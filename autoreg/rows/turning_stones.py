@@ -1,0 +1,61 @@
+"""Whether the stones of a field all point one way, or turn from one side of it to the other.
+
+Where arcs stand one behind the other, as those of fans do, a strip along their crowns is as even as a
+lattice. Its robust fit leaves out the stones beside the crown, and by those that are left the joints are
+straight. But a stone's joints turn with it, both alike, and those that were left out tell it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.fitting.fit import Fit
+from autoreg.ground.points import inside_box, on_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.rows.cross_joints import FANNED_RAD, LONGEST, MEDIAN_LOSS, SHORTEST, Lean, off_angle
+from autoreg.segments import Segments
+from autoreg.spread import spread
+
+# Fewer segments than this in a third of the field tell no turn.
+FEWEST_SEGMENTS = 8
+
+
+def common_turn(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
+    """By how much the joints of both families turn alike from one third of a field to the opposite one.
+
+    Across the field whichever way they turn more; the less of both families' turns, counterclockwise, and
+    the greater of their standard deviations. None where too few joints are seen, or the families do not turn
+    the same way. The fit, a lattice, is at the photo's own resolution.
+    """
+    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
+    alike: list[Lean] = []
+    for axis in (ALONG_X, ALONG_Y):
+        turns = [_turn(ground, fit, field, family, axis) for family in (ALONG_X, ALONG_Y)]
+        known = [turn for turn in turns if turn is not None]
+        if len(known) == 2 and known[0].angle * known[1].angle > 0:
+            less = min(known, key=lambda turn: abs(turn.angle))
+            alike.append(Lean(less.angle, max(turn.sigma for turn in known)))
+    return max(alike, key=lambda turn: abs(turn.angle), default=None)
+
+
+def _turn(
+    ground: Float[np.ndarray, "n 2 2"], fit: Fit, field: Float[np.ndarray, "k 2"], family: int, axis: int
+) -> Lean | None:
+    """By how much the median direction of a family's segments turns along an axis of the ground.
+
+    Each lies between two joints of the other family, and is a good part of a slab long.
+    """
+    middle = ground.mean(1)
+    side = (fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y)[family]
+    length = np.linalg.norm(ground[:, 1] - ground[:, 0], axis=1) / side
+    off = off_angle(ground[..., ::-1]) if family == ALONG_X else -off_angle(ground)
+    own = inside_box(middle, field) & (length > SHORTEST) & (length < LONGEST) & (np.abs(off) < FANNED_RAD)
+    off, place = off[own], middle[own, axis]
+    if len(off) < 3 * FEWEST_SEGMENTS:
+        return None
+    low, high = np.quantile(place, [1 / 3, 2 / 3])
+    ends = [off[place <= low], off[place >= high]]
+    change = float(np.median(ends[1]) - np.median(ends[0]))
+    sigmas = [MEDIAN_LOSS * spread(end) / np.sqrt(len(end)) for end in ends]
+    return Lean(change, float(np.hypot(*sigmas)))

@@ -1,0 +1,137 @@
+"""Stones that turn across their field are those of fans, however straight the joints along its middle."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from jaxtyping import Float, UInt8
+from paved import STACK, fit_of
+
+from autoreg.align import align
+from autoreg.answer.refusals import MOST_FANNED_DEG, turning
+from autoreg.camera import Camera
+from autoreg.errors import Refusal
+from autoreg.fitting.fit import Fit
+from autoreg.geometry import Rigid
+from autoreg.ground.points import project_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.rows.turning_stones import FEWEST_SEGMENTS, common_turn
+from autoreg.segments import Segments
+from autoreg.synthetic import look_at_ground, render_paving
+from benchmarks.raytrace.scene import Paving
+from benchmarks.raytrace.slabs import Slabs, lay
+
+# Courses of the field, each with as many stones; their sides are shorter than the slabs of the fit.
+COUNT, SHORT = 8, 0.9
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    return fit_of(render_paving(STACK))
+
+
+def sides_turned(
+    fit: Fit, along: int, turn_deg: float, families: tuple[int, ...] = (ALONG_X, ALONG_Y)
+) -> tuple[Segments, Float[np.ndarray, "4 2"]]:
+    """Sides of stones, and their field: those of some families turn by so much from end to end along an axis.
+
+    The middle of each side lies where it does on a lattice.
+    """
+    sizes = np.array([fit.grid.spacing_x, fit.grid.spacing_y], float)
+    cells = np.stack(np.meshgrid(np.arange(COUNT), np.arange(COUNT), indexing="ij"), -1).reshape(-1, 2)
+    # Before the camera, where it looks down at the ground.
+    eye, ahead = fit.cam_from_ground.origin_in_a, fit.cam_from_ground.R[2, :2]
+    start = eye[:2] + 1.6 * eye[2] * ahead / np.linalg.norm(ahead) - 0.5 * COUNT * sizes
+    ends: list[np.ndarray] = []
+    for family in (ALONG_X, ALONG_Y):
+        middle = start + (cells + 0.5 * np.eye(2)[family]) * sizes
+        place = (cells[:, along] - 0.5 * (COUNT - 1)) / (COUNT - 1)
+        angle = np.radians(turn_deg * place if family in families else 0.0 * place)
+        angle = angle + family * np.pi / 2
+        half = 0.5 * SHORT * sizes[family] * np.stack([np.cos(angle), np.sin(angle)], -1)
+        ends.append(np.stack([middle - half, middle + half], 1))
+    ground = np.concatenate(ends)
+    px = project_ground(fit.camera, fit.cam_from_ground, ground.reshape(-1, 2)).reshape(-1, 2, 2)
+    n = len(px)
+    low, high = start - sizes, start + (COUNT + 1) * sizes
+    field = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    return Segments(px, np.full(n, 0.2), np.zeros(n, int)), field
+
+
+@pytest.mark.parametrize("along", [ALONG_X, ALONG_Y])
+@pytest.mark.parametrize("turn_deg", [0.0, 6.0, 30.0, -24.0])
+def test_stones_turn_from_third_to_third_by_most_of_what_they_do_from_end_to_end(
+    fit: Fit, along: int, turn_deg: float
+):
+    segments, field = sides_turned(fit, along, turn_deg)
+    turn = common_turn(segments, fit, field)
+    refusal = turning(turn)
+    assert (refusal is not None) == (abs(turn_deg) > 1.5 * MOST_FANNED_DEG)
+    if turn_deg:
+        assert turn is not None
+        # Of eight courses the thirds' middle ones are five apart, of seven in all.
+        assert np.degrees(turn.angle) == pytest.approx(5 / 7 * turn_deg, rel=0.05)
+    if refusal is not None:
+        assert "turn by" in refusal.message
+
+
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_joints_of_one_family_that_turn_are_no_turning_stones(fit: Fit, family: int):
+    # The shadows of a chair's wicker do, and joints seen with a wrong camera.
+    segments, field = sides_turned(fit, ALONG_X, 30.0, (family,))
+    assert turning(common_turn(segments, fit, field)) is None
+
+
+def test_families_that_turn_against_each_other_are_no_turning_stones(fit: Fit):
+    ways = [sides_turned(fit, ALONG_X, turn_deg)[0] for turn_deg in (30.0, -30.0)]
+    half = len(ways[0]) // 2
+    ends_px = np.concatenate([ways[0].ends_px[:half], ways[1].ends_px[half:]])
+    segments = Segments(ends_px, ways[0].sigma_px, ways[0].level)
+    assert turning(common_turn(segments, fit, sides_turned(fit, ALONG_X, 0.0)[1])) is None
+
+
+def test_too_few_joints_tell_no_turn(fit: Fit):
+    segments, field = sides_turned(fit, ALONG_X, 30.0)
+    some = np.r_[np.arange(len(segments) // 2), len(segments) // 2 + np.arange(3 * FEWEST_SEGMENTS - 1)]
+    assert common_turn(segments.take(some), fit, field) is None
+    assert turning(None) is None
+
+
+def drawn(slabs: Slabs, camera: Camera, pose: Rigid, rng: np.random.Generator) -> UInt8[np.ndarray, "h w"]:
+    """A picture of light stones on a dark bed, each at its place and turn, with noise."""
+    turn = np.radians(slabs.turn_deg)
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], 1)
+    corners = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]) * slabs.size_m[:, None]
+    ground = slabs.middle_m[:, None] + np.einsum("nij,nkj->nki", R, corners)
+    ground = ground[(ground @ pose.R[2, :2] + pose.t[2] > 0.2).all(1)]
+    px = project_ground(camera, pose, ground.reshape(-1, 2)).reshape(-1, 4, 2)
+    fine = np.full((2 * camera.height, 2 * camera.width), 60, np.uint8)
+    tones, whole = rng.normal(150, 6, len(px)), (np.abs(px) < 1e4).all((1, 2))
+    for own, tone in zip(px[whole], tones[whole], strict=True):
+        # Pixels' centres in sixteenths of the finer ones.
+        cv2.fillConvexPoly(fine, np.rint((2 * own + 0.5) * 16).astype(np.int32), float(tone), cv2.LINE_AA, 4)
+    grey = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA).astype(float)
+    grey = cv2.GaussianBlur(grey, (0, 0), 0.7) + 2.0 * rng.standard_normal(grey.shape)
+    return np.clip(grey, 0, 255).astype(np.uint8)
+
+
+def test_a_strip_along_the_crowns_of_fans_is_refused():
+    seed = 13
+    rng = np.random.default_rng(seed)
+    camera = Camera.from_focal(1000, 750, 800.0)
+    pose = look_at_ground(
+        pitch_deg=rng.uniform(30, 60),
+        height_m=rng.uniform(1.5, 3.0),
+        heading_deg=rng.uniform(0, 90),
+        foot_m=(0.1, 0.2),
+    )
+    rng = np.random.default_rng(seed)
+    fans = lay(Paving(layout="fan", joint_m=0.012, half_size_m=5.0), np.zeros(2), rng)
+    moved = fans.middle_m + 0.003 * rng.standard_normal(fans.middle_m.shape)
+    stones = Slabs(moved, fans.size_m, fans.turn_deg, fans.parity)
+    with pytest.raises(Refusal) as refused:
+        align(drawn(stones, camera, pose, rng), camera)
+    assert refused.value.code == "no_lattice"
+    assert "turn by" in refused.value.message
