@@ -66,23 +66,26 @@ def find_paving(
     looks = sight.looks
 
     def fitting(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
-        return pavings if slab is None else suited(looks.picture, pavings, slab)
+        if slab is None:
+            return pavings
+        return suited(looks.picture, pavings, slab, halves=camera is not None)
 
     def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
         return fitting(pavings) or pavings
 
     def glanced(segments: Segments, free: Free, hypotheses: list[Hypothesis]) -> tuple[Paving, ...]:
         first = _at_a_glance(looks, segments, hypotheses, free)
-        return () if first is None else fitting((first,))
+        return () if first is None else (first,)
 
     if camera is not None:
         coarse = sight.detection.coarse
-        plain = glanced(coarse, *_hypotheses(coarse, sight.size, camera, walls=walls))
+        plain = fitting(glanced(coarse, *_hypotheses(coarse, sight.size, camera, walls=walls)))
         if _plain(plain):
             return _unrivalled(plain)
     segments = sight.segments
     free, hypotheses = _hypotheses(segments, sight.size, camera, walls=walls)
-    best = glanced(segments, free, hypotheses)
+    glance = glanced(segments, free, hypotheses)
+    best = fitting(glance)
     if not _plain(best):
         ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
         for plane in ranked:
@@ -91,6 +94,9 @@ def find_paving(
                 best = pavings
             if _plain(best):
                 break
+        # By another focal length what is plain to see may have the slab's shape.
+        if camera is None and not _plain(best) and _plain(glance):
+            best = glance
         if not best or best[0].margin_nats <= 0:
             plain = suitable(_by_other_focals(looks, ranked, free)) if camera is None else ()
             if not _plain(plain):

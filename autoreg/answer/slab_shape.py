@@ -15,17 +15,20 @@ from jaxtyping import Float
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
-from autoreg.fitting.refine import NARROW, refine
+from autoreg.fitting.refine import WIDE_SEARCH, refine
 from autoreg.geometry import Rigid, nearest_rotation
 from autoreg.paving.lattice_choice import Paving, has_ratio, presented
-from autoreg.paving.lay import FIELD_REACH
+from autoreg.paving.lay import FIELD_REACH, OUTWARDS
+from autoreg.solve import joint_data as terms
 from autoreg.solve.freedom import Free
 
-# A focal length is none that is off by more standard deviations of what is known of it beforehand, nor one
-# that leaves the joints so much farther from their lines than the one they told: so many times as far, or by
-# so many pixels. The right slab leaves them 0.7 to 1.06 times as far, one that is wrong by a fifth 1.9
-# times or more where the camera is turned by two degrees to it.
-MOST_SIGMAS, ROUGHER, ROUGHER_PX = 2.5, 1.3, 0.02
+# A focal length is none that is off by more standard deviations of what is known of it beforehand.
+MOST_SIGMAS = 2.5
+# Nor does a slab tell a camera whose focal length and principal point together are off by more than this: the
+# right slab takes 1.5 at most, one that is wrong by a fifth takes more in three photos of four; nor one by
+# which the joints lie so much farther from their lines than by the one that they told themselves: so many
+# times as far, or by so many pixels. By the right slab they lie up to 1.2 times as far.
+MOST_SIGMAS_BY_SLAB, ROUGHER, ROUGHER_PX = 1.7, 1.3, 0.02
 
 
 def of_slab_shape(
@@ -42,12 +45,13 @@ def of_slab_shape(
     Raises:
         Refusal: the slab's sides cannot be those of the lattice.
     """
+    # Sides a few per cent off already move the far joints by as much as a focal length that is off with them.
+    by_its_focal = _by_another_focal(small, found, slab, free) if free.focal else None
+    if by_its_focal is not None:
+        return by_its_focal
     if has_ratio(found.fit.grid, slab):
         return replace(found, fit=with_slab_ratio(found.fit, slab))
-    otherwise = _by_another_focal(small, found, slab, free) if free.focal else None
-    if otherwise is None:
-        raise slab_mismatch(found.fit, slab, camera_told=not free.focal)
-    return otherwise
+    raise slab_mismatch(found.fit, slab, camera_told=not free.focal)
 
 
 def slab_mismatch(fit: Fit, slab: tuple[float, float], *, camera_told: bool) -> Refusal:
@@ -87,15 +91,16 @@ def _by_another_focal(
     assert told.grid.spacing_x is not None
     longer = np.array([told.grid.spacing_x / fit.grid.spacing_x, told.grid.spacing_y / fit.grid.spacing_y])
     start = seen_alike(fit.camera, fit.cam_from_ground, longer)
-    if start is None or not plausible_focal(start[0], free):
+    if start is None or not _plausible_by_slab(start[0], free):
         return None
     width = (fit.strip.width[0] * float(longer[1]), fit.strip.width[1] * float(longer[0]))
+    # Slabs of a known shape tell the principal point as well, and do not suit one that is off.
     again = refine(
         small, *start, told.grid,
-        free=replace(fit.free, ratio=False), search=NARROW, reaches=(FIELD_REACH,) * 2,
-        strip=replace(fit.strip, width=width), field=found.presence.field * longer,
+        free=free.scaled(fit.camera), search=WIDE_SEARCH, reaches=(*OUTWARDS, FIELD_REACH, FIELD_REACH),
+        strip=replace(fit.strip, width=width, polarity_known=True), field=found.presence.field * longer,
     )  # fmt: skip
-    if again is None or not plausible_focal(again.camera, free):
+    if again is None or not _plausible_by_slab(again.camera, free):
         return None
     if again.roughness_px > max(ROUGHER * fit.roughness_px, fit.roughness_px + ROUGHER_PX):
         return None
@@ -130,7 +135,15 @@ def seen_alike(
 
 def plausible_focal(camera: Camera, free: Free) -> bool:
     """Whether a focal length may be that of a camera of which something is known."""
-    if free.nominal is None:
-        return True
-    nominal = free.nominal.fx * camera.width / free.nominal.width
-    return bool(abs(np.log(camera.fx / nominal)) < MOST_SIGMAS * free.focal_sigma)
+    return abs(float(_sigmas_off(camera, free)[0])) < MOST_SIGMAS
+
+
+def _plausible_by_slab(camera: Camera, free: Free) -> bool:
+    return float(np.linalg.norm(_sigmas_off(camera, free))) < MOST_SIGMAS_BY_SLAB
+
+
+def _sigmas_off(camera: Camera, free: Free) -> Float[np.ndarray, "3"]:
+    """How far focal length and principal point are from what is known of them, in standard deviations."""
+    prior = free.scaled(camera).prior(camera)
+    told = np.r_[terms.FOCAL, terms.CENTRE_X, terms.CENTRE_Y]
+    return prior.mean[told] / prior.sigma[told]

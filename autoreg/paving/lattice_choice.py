@@ -106,14 +106,15 @@ def _sides_in_heights(paving: Paving) -> list[float]:
 
 
 def suited(
-    picture: Float[np.ndarray, "h w"], pavings: tuple[Paving, ...], slab: tuple[float, float]
+    picture: Float[np.ndarray, "h w"], pavings: tuple[Paving, ...], slab: tuple[float, float], *, halves: bool
 ) -> tuple[Paving, ...]:
     """The lattices, or coarser ones within them, whose sides are in the ratio of a known slab, best first.
 
-    A few slabs can look like many halves; who knows the slab need not guess.
+    A few slabs can look like many halves; who knows the slab need not guess, where the camera is known as
+    well. By another focal length, slabs in another ratio are more likely than `halves`.
     """
     found = list(pavings)
-    for paving in pavings[:3]:
+    for paving in pavings[:3] if halves else ():
         for family in (ALONG_X, ALONG_Y):
             coarser = [p for p in best_pattern(paving.presence, family) if p.period in (2, 3)][:4]
             whole = Pattern(1, 0, 0, 0.0)

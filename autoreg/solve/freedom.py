@@ -35,6 +35,16 @@ class Free:
     aspect_sigma: float = np.inf
     step_sigma: float = np.inf
 
+    def scaled(self, camera: Camera) -> Free:
+        """What is known of the same photo at the scale that `camera` belongs to."""
+        if self.nominal is None:
+            return self
+        return replace(
+            self,
+            nominal=self.nominal.scaled(camera.width, camera.height),
+            centre_sigma_px=self.centre_sigma_px * camera.width / self.nominal.width,
+        )
+
     @property
     def mask(self) -> Float[np.ndarray, " p"]:
         """Ones for the free parameters."""
