@@ -82,6 +82,28 @@ def test_a_slab_tells_the_focal_length_of_a_photo_taken_squarely() -> None:
     assert found.warnings == ()
 
 
+@pytest.mark.parametrize(("heading_deg", "right"), [(2.0, -14.0), (3.0, 16.0)])
+def test_a_slab_tells_a_lens_out_of_the_middle_of_a_photo_taken_almost_squarely(
+    heading_deg: float, right: float
+) -> None:
+    # Joints that run together a little tell a wrong focal length where the middle is taken for the lens's.
+    scene = replace(
+        SQUARELY,
+        camera=replace(CAMERA, fx=900.0, fy=900.0, cx=CAMERA.cx + right, cy=CAMERA.cy - 6.0),
+        cam_from_ground=look_at_ground(
+            pitch_deg=35.0, height_m=1.6, heading_deg=heading_deg, foot_m=(0.1, 0.2)
+        ),
+        spacing_m=(0.4, 0.4),
+        shift=0.0,
+        joint_width_m=0.012,
+        seed=4,
+    )
+    found = align(as_gray(render_paving(scene).pixels), None, slab=(0.4, 0.4))
+    assert found.camera.camera.fx == pytest.approx(900.0, rel=0.01)
+    turn = angle_between_rotations(found.pose.cam_from_ground.R, scene.cam_from_ground.R)
+    assert np.rad2deg(turn) < 1.0
+
+
 def test_a_wrong_slab_is_refused_where_the_joints_tell_the_focal_length() -> None:
     for wrong in ((0.6, 0.4), (0.9, 0.3)):
         with pytest.raises(Refusal, match="--camera") as caught:

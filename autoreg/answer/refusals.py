@@ -21,8 +21,9 @@ from autoreg.rows.rows import Rows
 # Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs
 # seen with this camera. What slabs and their laying are off square is a tenth of it.
 MOST_LEAN_DEG, SURE_SIGMAS = 3.0, 5.0
-# Nor do they turn by so much from the first rows to the last: by some tenths of a degree in slabs.
-MOST_FANNED_DEG = 8.0
+# Nor do they turn by so much from the first rows to the last, or with the joints along the rows from one side
+# to the other: by some tenths of a degree in slabs. Where so much cannot be told from none, it may well be.
+MOST_FANNED_DEG, FANNED_SIGMAS = 8.0, 2.5
 # Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
 MOST_ARC_DEG = 5.0
 # A camera's focal length must differ by this much before it is blamed for a refusal.
@@ -213,7 +214,9 @@ def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal 
 
 def fanned(change: Lean | None) -> Refusal | None:
     """The refusal of joints that turn from row to row as those across arcs do; None if they may not."""
-    degrees = None if change is None else _clear_deg(change.angle, change.sigma, MOST_FANNED_DEG)
+    degrees = (
+        None if change is None else _clear_deg(change.angle, change.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
+    )
     if degrees is None:
         return None
     return Refusal(
@@ -227,7 +230,7 @@ def fanned(change: Lean | None) -> Refusal | None:
 
 def turning(turn: Lean | None) -> Refusal | None:
     """The refusal of stones that turn across their field as those of fans do; None if they may not."""
-    degrees = None if turn is None else _clear_deg(turn.angle, turn.sigma, MOST_FANNED_DEG)
+    degrees = None if turn is None else _fanned_deg(turn)
     if degrees is None:
         return None
     return Refusal(
@@ -253,10 +256,14 @@ def arcs(arc: Arc | None) -> Refusal | None:
     )
 
 
-def _clear_deg(angle: float, sigma: float, most_deg: float) -> float | None:
+def _fanned_deg(turn: Lean) -> float | None:
+    return _clear_deg(turn.angle, turn.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
+
+
+def _clear_deg(angle: float, sigma: float, most_deg: float, sure_sigmas: float = SURE_SIGMAS) -> float | None:
     """The size of an angle in degrees, where it is surely more than none and at least so large; else None."""
     degrees = float(np.degrees(abs(angle)))
-    return None if degrees < most_deg or abs(angle) < SURE_SIGMAS * sigma else degrees
+    return None if degrees < most_deg or abs(angle) < sure_sigmas * sigma else degrees
 
 
 def _named(paving: Paving) -> str:

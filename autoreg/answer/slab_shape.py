@@ -18,7 +18,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import WIDE_SEARCH, refine
 from autoreg.geometry import Rigid, nearest_rotation
 from autoreg.paving.lattice_choice import Paving, has_ratio, presented
-from autoreg.paving.lay import FIELD_REACH, OUTWARDS
+from autoreg.paving.lay import FIELD_REACH, OUTWARDS, STATIONS
 from autoreg.solve import joint_data as terms
 from autoreg.solve.freedom import Free
 
@@ -98,7 +98,8 @@ def _by_another_focal(
     again = refine(
         small, *start, told.grid,
         free=free.scaled(fit.camera), search=WIDE_SEARCH, reaches=(*OUTWARDS, FIELD_REACH, FIELD_REACH),
-        strip=replace(fit.strip, width=width, polarity_known=True), field=found.presence.field * longer,
+        strip=replace(fit.strip, width=width, polarity_known=True),
+        field=found.presence.field * longer, limit=STATIONS,
     )  # fmt: skip
     if again is None or not _plausible_by_slab(again.camera, free):
         return None
