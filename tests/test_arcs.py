@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of
 
-from autoreg.answer.refusals import MOST_ARC_DEG, SURE_SIGMAS, arcs
+from autoreg.answer.refusals import ARC_SIGMAS, MOST_ARC_DEG, arcs
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.rows.arcs import FEWEST_STATIONS, Arc, common_arc
@@ -56,5 +56,5 @@ def test_too_few_stations_or_an_unsure_turn_tell_no_arc(fit: Fit):
     assert common_arc(replace(fit, usable=usable), ALONG_X) is None
     assert arcs(None) is None
     turn = 2.0 * np.radians(MOST_ARC_DEG)
-    assert arcs(Arc(turn, turn / (SURE_SIGMAS - 1.0))) is None
-    assert arcs(Arc(turn, turn / (SURE_SIGMAS + 1.0))) is not None
+    assert arcs(Arc(turn, turn / (ARC_SIGMAS - 1.0))) is None
+    assert arcs(Arc(turn, turn / (ARC_SIGMAS + 1.0))) is not None

@@ -20,12 +20,12 @@ from autoreg.rows.rows import Rows
 
 # Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs
 # seen with this camera. What slabs and their laying are off square is a tenth of it.
-MOST_LEAN_DEG, SURE_SIGMAS = 3.0, 5.0
+MOST_LEAN_DEG, LEAN_SIGMAS = 3.0, 5.0
 # Nor do they turn by so much from the first rows to the last, or with the joints along the rows from one side
 # to the other: by some tenths of a degree in slabs. Where so much cannot be told from none, it may well be.
 MOST_FANNED_DEG, FANNED_SIGMAS = 8.0, 2.5
 # Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
-MOST_ARC_DEG = 5.0
+MOST_ARC_DEG, ARC_SIGMAS = 3.5, 4.0
 # A camera's focal length must differ by this much before it is blamed for a refusal.
 FOCAL_BLAME = 0.05
 # ... and its principal point lie so far off the middle, as a share of the width.
@@ -190,7 +190,7 @@ def focal_implausible(camera: Camera) -> Refusal:
 
 def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal | None:
     """The refusal of joints that are not at right angles to each other; None if they may be."""
-    degrees = None if lean is None else _clear_deg(lean.angle, lean.sigma, MOST_LEAN_DEG)
+    degrees = None if lean is None else _clear_deg(lean.angle, lean.sigma, MOST_LEAN_DEG, LEAN_SIGMAS)
     if degrees is None:
         return None
     measured, limit = round(degrees, 2), MOST_LEAN_DEG
@@ -244,7 +244,7 @@ def turning(turn: Lean | None) -> Refusal | None:
 
 def arcs(arc: Arc | None) -> Refusal | None:
     """The refusal of unbroken joints that bow alike; None if they may be straight."""
-    degrees = None if arc is None else _clear_deg(arc.turn, arc.sigma, MOST_ARC_DEG)
+    degrees = None if arc is None else _clear_deg(arc.turn, arc.sigma, MOST_ARC_DEG, ARC_SIGMAS)
     if degrees is None:
         return None
     return Refusal(
@@ -260,7 +260,7 @@ def _fanned_deg(turn: Lean) -> float | None:
     return _clear_deg(turn.angle, turn.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
 
 
-def _clear_deg(angle: float, sigma: float, most_deg: float, sure_sigmas: float = SURE_SIGMAS) -> float | None:
+def _clear_deg(angle: float, sigma: float, most_deg: float, sure_sigmas: float) -> float | None:
     """The size of an angle in degrees, where it is surely more than none and at least so large; else None."""
     degrees = float(np.degrees(abs(angle)))
     return None if degrees < most_deg or abs(angle) < sure_sigmas * sigma else degrees
