@@ -22,6 +22,7 @@ from autoreg.joints.widths import Widths
 from autoreg.paving.corrections import recentred
 from autoreg.slabs.measured_joints import MeasuredJoints, measured_joints, widths_told, without_washed_out
 from autoreg.slabs.slab_effects import STEPS_RELIEF, STEPS_TOGETHER, TOGETHER, common_effects, relief_effects
+from autoreg.slabs.slab_equations import RELIEFS, SlabEquations
 from autoreg.slabs.uncertainty import Settled, settle
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
@@ -204,7 +205,8 @@ def test_dark_walls_that_hide_the_bed_hardly_move_the_pose(share: float):
 
 
 @pytest.mark.parametrize(
-    ("effects", "change"), [(relief_effects, STEPS_RELIEF), (common_effects, STEPS_TOGETHER / TOGETHER)]
+    ("effects", "change"),
+    [(lambda joints: relief_effects(joints)[0], STEPS_RELIEF), (common_effects, STEPS_TOGETHER / TOGETHER)],
 )
 def test_a_family_of_steps_only_is_moved_less_by_relief_and_more_by_what_is_not_known(
     effects: Callable[[MeasuredJoints], np.ndarray], change: float
@@ -222,3 +224,52 @@ def test_a_family_of_steps_only_is_moved_less_by_relief_and_more_by_what_is_not_
     assert np.allclose(steps[~along_x], lined[~along_x], rtol=0.05)
     # Tiles without any joints have no beds to hide.
     assert np.allclose(sizes((0, 0)), lined)
+
+
+@pytest.mark.parametrize("widths", [True, False])
+def test_motion_and_likelihood_are_those_of_a_dense_solution_with_all_effects_means(widths: bool):
+    fit = fitted()
+    free, rows = Free(), np.flatnonzero(fit.usable)[::7]
+    prior, sizes = free.prior(fit.camera), (0.0006, 0.25, 0.3, 0.5)
+    model = SlabEquations(fit, free.mask, prior, 0.0, rows, widths)
+    model.factor(sizes)
+    p = len(model.free)
+    V = np.diag(model.D) + (model.Z.toarray() * model.scale**2) @ model.Z.toarray().T
+    off, given = model.columns[:, -1], np.linalg.inv(V)
+    values: list[tuple[float, float]] = []
+    for relief, (value, moved, covariance) in zip(RELIEFS, model.solve(), strict=True):
+        course = sizes[0] * sizes[3]
+        size = np.r_[np.ones(p), np.where(model.relief, relief, np.where(model.course, course, 1.0))]
+        X = model.columns[:, :-1] * size
+        mean = np.zeros(len(size))
+        mean[p:][model.relief] = model.expected
+        # A pose that the joints leave free is held by next to nothing.
+        known = np.diag(np.r_[1e-10 * np.einsum("ni,nm,mi->i", X, given, X)[:p], np.ones(len(size) - p)])
+        H = X.T @ given @ X + known
+        x = np.linalg.solve(H, known @ mean - X.T @ given @ off)
+        left, away = off + X @ x, x - mean
+        assert moved == pytest.approx(x[:p], rel=1e-5, abs=1e-7 * float(np.abs(x[:p]).max()))
+        assert np.allclose(covariance, np.linalg.inv(H)[:p, :p], rtol=1e-5)
+        likely = -0.5 * (left @ given @ left + away @ known @ away + np.linalg.slogdet(H)[1])
+        values.append((value, float(likely)))
+    ours, dense = (np.array(each) - each[0] for each in zip(*values, strict=True))
+    assert ours == pytest.approx(dense, abs=1e-4 * float(np.abs(dense).max()))
+
+
+def test_walls_are_expected_to_let_joints_look_narrower_and_nearer():
+    fit = fitted()
+    joints = measured_joints(fit, np.flatnonzero(fit.usable))
+    effects, expected = relief_effects(joints)
+    # What the effects explain is taken from the distances.
+    moved, count = -effects @ expected, len(joints.rows)
+    away = fit.stations.ground[joints.rows] - fit.cam_from_ground.origin_in_a[:2]
+    family = fit.stations.family[joints.rows]
+    away = np.where(family == ALONG_X, away[:, 1], away[:, 0]) / fit.cam_from_ground.origin_in_a[2]
+    share = moved[:count] * np.sign(away) / (0.012 * joints.px_per_unit)
+    seen_nearer = measured_joints(with_lit_walls(fit, 0.3), np.flatnonzero(fit.usable)).off_px - joints.off_px
+    along_y = family == ALONG_Y
+    assert np.sign(moved[:count][along_y]) @ np.sign(seen_nearer[:count][along_y]) > 0.9 * along_y.sum()
+    assert (np.diff(np.abs(share)[np.argsort(np.abs(away))]) > -0.02).all()
+    narrower, told = moved[count:], seen_nearer[count:]
+    some = along_y[joints.wide]
+    assert np.sign(narrower[some]) @ np.sign(told[some]) > 0.9 * some.sum()

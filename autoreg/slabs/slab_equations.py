@@ -86,7 +86,7 @@ class SlabEquations:
         self._pair_up()
         self.kind = np.repeat(kinds, [effects[k].get_shape()[1] for k in kinds])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
-        relief = relief_effects(joints)
+        relief, self.expected = relief_effects(joints)
         others = (
             common_effects(joints),
             width_effects(joints),
@@ -187,7 +187,7 @@ class SlabEquations:
         return np.r_[np.ones(len(self.free)), of_effects]
 
     def _prior(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-        """What is known of the motion and of the effects beforehand: information and mean."""
+        """What is known beforehand of the motion and the effects: information, and mean but the relief's."""
         p, k = len(self.free), len(self.relief)
         # A direction that nothing tells (along the joints of rows) stays where it is, and unknown.
         little = 1e-10 * np.diag(self.gram)[:p]
@@ -218,13 +218,16 @@ class SlabEquations:
         squares, axes = np.linalg.eigh(own - across.T @ by_relief)
         shrunk = 1.0 / (1.0 + reliefs[:, None] ** 2 * np.maximum(squares, 0.0))
         x = np.empty((len(reliefs), len(g)))
-        shifts = (shrunk * ((across.T @ alone - g[last]) @ axes)) @ axes.T * reliefs[:, None]
+        asked = reliefs[:, None] * ((across.T @ alone - g[last]) @ axes) + self.expected @ axes
+        shifts = (shrunk * asked) @ axes.T
         x[:, last] = shifts
         x[:, first] = -alone - reliefs[:, None] * (shifts @ by_relief.T)
         along = by_relief[:p] @ axes
         covariance = spread[:p] + reliefs[:, None, None] ** 2 * (along * shrunk[:, None]) @ along.T
         sizes = np.where(last, reliefs[:, None], 1.0)
-        left = self.gram[-1, -1] + (g * sizes * x).sum(1) + float(known @ mean**2)
+        pulls = g * sizes
+        pulls[:, last] -= self.expected
+        left = self.gram[-1, -1] + (pulls * x).sum(1) + float(known @ mean**2 + self.expected @ self.expected)
         logdet = np.linalg.slogdet(H[np.ix_(first, first)])[1] - np.log(shrunk).sum(1)
         return _Normal(-0.5 * (left + self.logdet + logdet), x * size * sizes, covariance)
 

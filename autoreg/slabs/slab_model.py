@@ -9,12 +9,13 @@ laid along one string. Where all joints are lines, those of a family may be aske
 tilted pose imitates that, and no residual shows it. Calibrated views of a printed board, whose own shape was
 solved for along with the cameras, are so; without this a third of their 95 % regions held the truth.
 The relief is the shift of a joint seen aslant: a lit wall of the far slab looks like the slab, and so the
-joint looks narrower and nearer than it is. What the joints of a family are off by together beyond that shows
-in no residual: its size is that measured on ray-traced pavings. Where both edges of a joint are told apart,
-its width is a second measurement, off by all of these but J dp. Bright tiles that meet dark ones without a
-joint bloom: every edge is moved towards the dark one. This is a linear mixed model (Searle, Casella,
-McCulloch, Variance Components, ch. 6 and 9): the sizes of the random effects come from the photo's own
-residuals by restricted maximum likelihood, and the pose by generalised least squares.
+joint looks narrower and nearer than it is, never wider or farther: these effects have a mean. What the joints
+of a family are off by together beyond that shows in no residual: its size is that measured on ray-traced
+pavings. Where both edges of a joint are told apart, its width is a second measurement, off by all of these
+but J dp. Bright tiles that meet dark ones without a joint bloom: every edge is moved towards the dark one.
+This is a linear mixed model (Searle, Casella, McCulloch, Variance Components, ch. 6 and 9): the sizes of the
+random effects come from the photo's own residuals by restricted maximum likelihood, and the pose by
+generalised least squares.
 """
 
 from __future__ import annotations
