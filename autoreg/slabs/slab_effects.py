@@ -31,10 +31,10 @@ DARK_SIDE_SLOPES, DARK_SIDE_END, DARK_SIDE = (0.8, 1.3), 2.5, 0.04
 BLURRED_BLURS, BLURRED_SIDE = 2.5, 0.02
 # Walls that are lit, shaded and dark in parts have yet other shapes: any that changes between these slopes.
 BUMP_SLOPES, BUMP = (0.2, 0.4, 0.7, 1.1, 1.6, 2.3, 3.2, 4.5), 0.015
-# Walls hide a part of the bed, and never lay more of it bare: each of these shifts is expected to be as large
-# as its standard deviation, nearer. Without this the camera is found too high, by 0.7 standard deviations at
-# the median of ray-traced pavings.
-HIDING = 1.0
+# Walls hide a part of the bed, and never lay more of it bare. Shifts of a standard deviation that are all to
+# one side have this mean. Without it the camera is found too high, by 0.7 standard deviations at the median
+# of ray-traced pavings.
+HIDING = 0.8
 # Shift of a joint's far edge by a shadow on the bed, against that by a lit wall, and the near edge's against
 # the far one's.
 FAR_SHADE, NEAR_SHADE = 0.4, 0.2
