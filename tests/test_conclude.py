@@ -250,3 +250,12 @@ def test_a_height_that_is_given_is_known_and_the_rest_moves_with_it():
     assert np.sqrt(np.diag(np.cov(np.array(moved).T))) == pytest.approx(np.sqrt(np.diag(held)[3:]), rel=0.06)
     plain = scaled_covariance(C, pose, 2.0, height_held=False)
     assert plain[3:, 3:] == pytest.approx(4.0 * C[3:, 3:])
+
+
+def test_joints_that_lie_off_together_still_carry_the_fit(stack_fit: Fit):
+    plain = measure_residual(stack_fit)
+    together = replace(stack_fit, distances_px=stack_fit.distances_px + 20.0 * stack_fit.sigma_px)
+    moved = measure_residual(together)
+    assert moved.inlier_fraction > 0.5
+    assert moved.rms_px > 10.0 * plain.rms_px
+    assert fitted_joints(together, Frame(0, np.zeros(2)))

@@ -19,7 +19,10 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.stations import joints_of
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.paving.presence import Presence
+from autoreg.spread import spread_about
 
+# Stations that are off by less than this many standard deviations carried the fit.
+INLIER_SIGMAS = 3.0
 # A standard deviation of the camera's turn, in degrees, from which on things on the ground are seen to lean;
 # the unknown principal point of a camera without a file is good for 1.5.
 UNSURE_DEG = 2.0
@@ -127,8 +130,12 @@ def measure_residual(fit: Fit) -> Residual:
 
 
 def _inliers(fit: Fit) -> Bool[np.ndarray, " n"]:
-    """Which stations carried the fit."""
-    return fit.usable & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
+    """Which stations carried the fit.
+
+    The likeliest pose may leave most of even joints off their lines together, if that is what relief does.
+    """
+    off = np.abs(fit.distances_px / fit.sigma_px)
+    return fit.usable & (off < max(INLIER_SIGMAS, spread_about(off[fit.usable])))
 
 
 def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
