@@ -214,9 +214,7 @@ def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal 
 
 def fanned(change: Lean | None) -> Refusal | None:
     """The refusal of joints that turn from row to row as those across arcs do; None if they may not."""
-    degrees = (
-        None if change is None else _clear_deg(change.angle, change.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
-    )
+    degrees = None if change is None else _fanned_deg(change)
     if degrees is None:
         return None
     return Refusal(

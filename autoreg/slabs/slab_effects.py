@@ -133,7 +133,9 @@ def relief_effects(
             near += [np.zeros_like(slope)] * len(walls) + [mine * ~there * NEAR_SHADE * f for f in fading]
     beyond, before = np.stack(far, 1), np.stack(near, 1)
     width = facing[joints.wide, None] * (beyond - before)[joints.wide]
-    return _in_fewer_columns(np.concatenate([0.5 * (beyond + before), width]), np.array(expected))
+    effects = np.concatenate([0.5 * (beyond + before), width])
+    axes = _main_axes(effects)
+    return effects @ axes, np.array(expected) @ axes
 
 
 def narrowing(joints: MeasuredJoints) -> float:
@@ -184,7 +186,7 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
         own.append(shapes * (together * mine)[:, None])
         own += [walls * (way * mine * (way * slope > 0))[:, None] for way in (-1.0, 1.0)]
     effects = np.concatenate(own, 1)
-    return joints.middles_only(_in_fewer_columns(effects, np.zeros(effects.shape[1]))[0])
+    return joints.middles_only(effects @ _main_axes(effects))
 
 
 def _wall_shapes(steep: Float[np.ndarray, " n"], blurs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n r"]:
@@ -199,13 +201,10 @@ def _wall_shapes(steep: Float[np.ndarray, " n"], blurs: Float[np.ndarray, " n"])
     return np.concatenate([DARK_SIDE * dark, BLURRED_SIDE * blurred, BUMP * bumps], 1)
 
 
-def _in_fewer_columns(
-    effects: Float[np.ndarray, "n r"], expected: Float[np.ndarray, " r"]
-) -> tuple[Float[np.ndarray, "n s"], Float[np.ndarray, " s"]]:
-    """Effects of nearly the same mean and covariance, as few as can be, and their expected sizes."""
+def _main_axes(effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "r s"]:
+    """Combinations of effects, as few as have nearly the covariance of all."""
     square, V = np.linalg.eigh(effects.T @ effects)
-    kept = V[:, square > LEAST_EFFECT**2 * square[-1]]
-    return effects @ kept, expected @ kept
+    return V[:, square > LEAST_EFFECT**2 * square[-1]]
 
 
 def _full_width_px(joints: MeasuredJoints) -> Float[np.ndarray, " n"]:
