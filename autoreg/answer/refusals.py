@@ -214,48 +214,48 @@ def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal 
 
 def fanned(change: Lean | None) -> Refusal | None:
     """The refusal of joints that turn from row to row as those across arcs do; None if they may not."""
-    degrees = None if change is None else _fanned_deg(change)
-    if degrees is None:
+    if change is None:
         return None
-    return Refusal(
-        "no_lattice",
-        f"the joints across these rows turn by {degrees:.0f} degrees from the first rows to the last, as "
-        "those of fans and waves do; photograph slabs with right angles",
-        measured=round(degrees, 1),
-        limit=MOST_FANNED_DEG,
+    degrees = _clear_deg(change.angle, change.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
+    return _curved(
+        degrees,
+        MOST_FANNED_DEG,
+        "the joints across these rows turn by {:.0f} degrees from the first rows to the last, as those of "
+        "fans and waves do; photograph slabs with right angles",
     )
 
 
 def turning(turn: Lean | None) -> Refusal | None:
     """The refusal of stones that turn across their field as those of fans do; None if they may not."""
-    degrees = None if turn is None else _fanned_deg(turn)
-    if degrees is None:
+    if turn is None:
         return None
-    return Refusal(
-        "no_lattice",
-        f"these stones turn by {degrees:.0f} degrees from one side of their field to the other, as those of "
-        "fans and rings do; photograph slabs in straight rows",
-        measured=round(degrees, 1),
-        limit=MOST_FANNED_DEG,
+    degrees = _clear_deg(turn.angle, turn.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
+    return _curved(
+        degrees,
+        MOST_FANNED_DEG,
+        "these stones turn by {:.0f} degrees from one side of their field to the other, as those of fans and "
+        "rings do; photograph slabs in straight rows",
     )
 
 
 def arcs(arc: Arc | None) -> Refusal | None:
     """The refusal of unbroken joints that bow alike; None if they may be straight."""
-    degrees = None if arc is None else _clear_deg(arc.turn, arc.sigma, MOST_ARC_DEG, ARC_SIGMAS)
-    if degrees is None:
+    if arc is None:
         return None
-    return Refusal(
-        "no_lattice",
-        f"the joints along these rows are arcs, which turn by {degrees:.0f} degrees from end to end, as "
-        "those of fans and waves do; photograph slabs in straight rows",
-        measured=round(degrees, 1),
-        limit=MOST_ARC_DEG,
+    degrees = _clear_deg(arc.turn, arc.sigma, MOST_ARC_DEG, ARC_SIGMAS)
+    return _curved(
+        degrees,
+        MOST_ARC_DEG,
+        "the joints along these rows are arcs, which turn by {:.0f} degrees from end to end, as those of "
+        "fans and waves do; photograph slabs in straight rows",
     )
 
 
-def _fanned_deg(turn: Lean) -> float | None:
-    return _clear_deg(turn.angle, turn.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
+def _curved(degrees: float | None, limit: float, message: str) -> Refusal | None:
+    """The refusal, by a message about its degrees, of a turn that is clear; None of one that is not."""
+    if degrees is None:
+        return None
+    return Refusal("no_lattice", message.format(degrees), measured=round(degrees, 1), limit=limit)
 
 
 def _clear_deg(angle: float, sigma: float, most_deg: float, sure_sigmas: float) -> float | None:
