@@ -42,6 +42,8 @@ __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align",
 # latter about one picture width), the principal point as a share of the long side, and the logarithm of what
 # fy is longer than fx by. The last two are as in calibrations of consumer cameras.
 EXIF_FOCAL_SIGMA, PHOTO_FOCAL_SIGMA, CENTRE_SIGMA, ASPECT_SIGMA = 0.05, 0.5, 0.02, 0.004
+# ... and its second radial and its tangential distortion coefficients.
+SECOND_RADIAL_SIGMA, TANGENTIAL_SIGMA = 0.1, 0.001
 # Slabs tell the tilt in any case. Their camera's height goes with the focal length: where it may be wrong by
 # half, the photo has not told it.
 MOST_SLABS_FOCAL_SIGMA = 0.25
@@ -298,11 +300,14 @@ def _freedom(
         centre=True,
         radial=True,
         aspect=True,
+        bent=True,
         nominal=nominal,
         focal_sigma=EXIF_FOCAL_SIGMA if source == "exif" else PHOTO_FOCAL_SIGMA,
         centre_sigma_px=CENTRE_SIGMA * max(width, height),
         radial_sigma=RADIAL_SIGMA,
         aspect_sigma=ASPECT_SIGMA,
+        second_radial_sigma=SECOND_RADIAL_SIGMA,
+        tangential_sigma=TANGENTIAL_SIGMA,
     )
 
 

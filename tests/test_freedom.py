@@ -35,7 +35,7 @@ def test_a_stretched_lattice_keeps_its_area():
 
 
 def test_priors_mean_the_nominal_camera_wherever_the_solve_starts():
-    nominal = replace(CAMERA, fy=1.02 * CAMERA.fy, dist=(-0.1,) + (0.0,) * 7)
+    nominal = replace(CAMERA, fy=1.02 * CAMERA.fy, dist=(-0.1, 0.03, 0.001, -0.002) + (0.0,) * 4)
     free = Free(focal=True, centre=True, radial=True, aspect=True, nominal=nominal, focal_sigma=0.05)
     start = replace(CAMERA, fx=1.1 * CAMERA.fx, fy=1.1 * CAMERA.fy, cx=CAMERA.cx + 7.0)
     mean = free.prior(start).mean
@@ -45,3 +45,4 @@ def test_priors_mean_the_nominal_camera_wherever_the_solve_starts():
     assert free.prior(start).sigma[terms.FOCAL] == 0.05
     meant = moved_camera(start, replace(NOTHING, parameters=mean))
     assert meant.fy == pytest.approx(nominal.fy)
+    assert meant.dist == pytest.approx(nominal.dist)

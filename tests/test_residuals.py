@@ -17,6 +17,8 @@ from autoreg.solve.joint_data import (
     RADIAL,
     RATIO,
     ROTATION,
+    SECOND_RADIAL,
+    TANGENTIAL,
     TRANSLATION,
     JointData,
     parameter_scale,
@@ -76,7 +78,8 @@ def scene(seed: int, n: int = 30) -> tuple[JointData, Camera]:
 
 def small_parameters(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed + 1)
-    return rng.uniform(-1, 1, PARAMETERS) * ([0.05] * 3 + [0.1] * 3 + [0.1, 0.1, 0.02, 0.02, 0.05, 0.05])
+    camera = [0.1, 0.02, 0.02, 0.05, 0.05, 0.05, 0.005, 0.005]
+    return rng.uniform(-1, 1, PARAMETERS) * ([0.05] * 3 + [0.1] * 3 + [0.1] + camera)
 
 
 @given(seeds)
@@ -103,9 +106,10 @@ def test_parameters_move_pose_lattice_and_camera_as_their_names_say(seed):
     points_cam = (ground @ data.R[:, :2].T + data.t) @ turn.T + p[TRANSLATION]
     fx = camera.fx * np.exp(p[FOCAL])
     fy = camera.fy * np.exp(p[FOCAL] + p[ASPECT])
-    k1, *rest = camera.dist
+    k1, k2, p1, p2, *rest = camera.dist
     dx, dy = p[CENTRE]
-    dist = (k1 + p[RADIAL], *rest)
+    by_x, by_y = p[TANGENTIAL]
+    dist = (k1 + p[RADIAL], k2 + p[SECOND_RADIAL], p1 + by_x, p2 + by_y, *rest)
     moved = Camera(1600, 1200, fx, fy, camera.cx + dx, camera.cy + dy, dist)
     expected = ((moved.project(points_cam) - data.measured_px) * data.normal).sum(1)
     got = joint_distances(jnp.asarray(small_parameters(seed)), data)

@@ -56,3 +56,15 @@ def test_pixels_that_are_not_square_and_a_lens_that_is_not_in_the_middle_are_all
     assert focal is not None
     assert sigma is not None
     assert abs(focal - camera.fx) < 3.3 * sigma
+
+
+@pytest.mark.parametrize("heading_deg", [25.0, 64.0])
+def test_a_bent_lens_is_allowed_for_in_all_that_bends_it(heading_deg: float) -> None:
+    plain = Camera.from_focal(1000, 750, 800.0)
+    camera = replace(plain, dist=(-0.16, 0.05, 8e-4, -6e-4))
+    scene = taken(camera, heading_deg, round(heading_deg))
+    found = autoreg.align(render_paving(scene).pixels, None, slab=(SLAB_M, SLAB_M))
+    error = off_by(found, scene.cam_from_ground.R)
+    squared = float(error @ np.linalg.solve(found.pose.covariance[:3, :3], error))
+    assert squared < HARDLY_EVER
+    assert np.degrees(np.linalg.norm(error)) < 1.0

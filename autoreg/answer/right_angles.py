@@ -48,7 +48,15 @@ SEARCH = 0.04
 
 # What the unbroken joints tell, and what they do not, in the order of the estimate.
 _TOLD = (0, 1, 2, 3, 4, 5, terms.RADIAL)
-_CAMERA = (terms.FOCAL, terms.CENTRE_X, terms.CENTRE_Y, terms.ASPECT)
+_CAMERA = (
+    terms.FOCAL,
+    terms.CENTRE_X,
+    terms.CENTRE_Y,
+    terms.ASPECT,
+    terms.SECOND_RADIAL,
+    terms.TANGENTIAL_X,
+    terms.TANGENTIAL_Y,
+)
 _ALL = (*_TOLD, *_CAMERA)
 _K = len(_TOLD)
 
@@ -190,7 +198,8 @@ def _by_rows(
     sideways = np.zeros(_K)
     sideways[terms.TRANSLATION] = fit.cam_from_ground.R[:, 0]
     follows -= np.outer(sideways, along[:_K] @ follows + along[_K:]) / (along[:_K] @ sideways)
-    camera, camera_spread = prior.mean[list(_CAMERA)], np.diag(prior.sigma[list(_CAMERA)] ** 2)
+    camera, free = prior.mean[list(_CAMERA)], known.mask[list(_CAMERA)] > 0
+    camera_spread = np.diag(np.where(free, prior.sigma[list(_CAMERA)], 0.0) ** 2)
     both = follows @ camera_spread
     spread = np.block([[own_spread + both @ follows.T, both], [both.T, camera_spread]])
     return np.r_[own + follows @ camera, camera], spread, rows.scatter

@@ -19,8 +19,9 @@ from autoreg.solve.solver import Prior, Solution
 class Free:
     """What the solve may change besides the pose, and how far a prior lets it go.
 
-    `step_sigma` holds every single solve near its start: so many radians, and heights of the camera. Joints
-    of one direction leave motions free that must not wander.
+    `radial` is the first radial coefficient, `bent` what else bends lines: the second one, and the tangential
+    ones. `step_sigma` holds every single solve near its start: so many radians, and heights of the camera.
+    Joints of one direction leave motions free that must not wander.
     """
 
     ratio: bool = False
@@ -28,11 +29,14 @@ class Free:
     centre: bool = False
     radial: bool = False
     aspect: bool = False
+    bent: bool = False
     nominal: Camera | None = None
     focal_sigma: float = np.inf
     centre_sigma_px: float = np.inf
     radial_sigma: float = np.inf
     aspect_sigma: float = np.inf
+    second_radial_sigma: float = np.inf
+    tangential_sigma: float = np.inf
     step_sigma: float = np.inf
 
     def scaled(self, camera: Camera) -> Free:
@@ -53,6 +57,7 @@ class Free:
         mask[terms.RATIO], mask[terms.FOCAL] = self.ratio, self.focal
         mask[terms.CENTRE], mask[terms.RADIAL] = self.centre, self.radial
         mask[terms.ASPECT] = self.aspect
+        mask[terms.SECOND_RADIAL] = mask[terms.TANGENTIAL] = self.bent
         return mask
 
     def prior(self, camera: Camera) -> Prior:
@@ -60,11 +65,13 @@ class Free:
         mean, sigma = np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)
         sigma[terms.FOCAL], sigma[terms.CENTRE] = self.focal_sigma, self.centre_sigma_px
         sigma[terms.RADIAL], sigma[terms.ASPECT] = self.radial_sigma, self.aspect_sigma
+        sigma[terms.SECOND_RADIAL], sigma[terms.TANGENTIAL] = self.second_radial_sigma, self.tangential_sigma
         sigma[terms.ROTATION] = sigma[terms.TRANSLATION] = self.step_sigma
         if self.nominal is not None:
             mean[terms.FOCAL] = np.log(self.nominal.fx / camera.fx)
             mean[terms.CENTRE] = self.nominal.cx - camera.cx, self.nominal.cy - camera.cy
-            mean[terms.RADIAL] = self.nominal.dist[0] - camera.dist[0]
+            lens = np.subtract(self.nominal.dist[:4], camera.dist[:4])
+            mean[terms.RADIAL], mean[terms.SECOND_RADIAL], mean[terms.TANGENTIAL] = lens[0], lens[1], lens[2:]
             mean[terms.ASPECT] = np.log(self.nominal.fy / self.nominal.fx * camera.fx / camera.fy)
         return Prior(mean, sigma)
 
@@ -83,7 +90,8 @@ def moved_camera(camera: Camera, solution: Solution) -> Camera:
         return camera
     focal = float(np.exp(p[terms.FOCAL]))
     dx, dy = (float(v) for v in p[terms.CENTRE])
-    dist = (camera.dist[0] + float(p[terms.RADIAL]), *camera.dist[1:])
+    change = (p[terms.RADIAL], p[terms.SECOND_RADIAL], *p[terms.TANGENTIAL])
+    dist = (*(k + float(more) for k, more in zip(camera.dist, change, strict=False)), *camera.dist[4:])
     taller = focal * float(np.exp(p[terms.ASPECT]))
     return replace(
         camera, fx=camera.fx * focal, fy=camera.fy * taller, cx=camera.cx + dx, cy=camera.cy + dy, dist=dist

@@ -9,11 +9,11 @@ from jaxtyping import Float
 
 # Parameters: rotation vector (rad) and translation of a small motion on the camera's side, logarithm of the
 # spacing ratio, logarithm of the focal length, principal point (px), first radial distortion coefficient,
-# logarithm of what fy is longer than fx by.
-PARAMETERS = 12
+# logarithm of what fy is longer than fx by, second radial coefficient, and the two tangential ones.
+PARAMETERS = 15
 ROTATION, TRANSLATION, RATIO = slice(0, 3), slice(3, 6), 6
-FOCAL, CENTRE_X, CENTRE_Y, RADIAL, ASPECT = range(7, 12)
-CENTRE = slice(CENTRE_X, CENTRE_Y + 1)
+FOCAL, CENTRE_X, CENTRE_Y, RADIAL, ASPECT, SECOND_RADIAL, TANGENTIAL_X, TANGENTIAL_Y = range(7, 15)
+CENTRE, TANGENTIAL = slice(CENTRE_X, CENTRE_Y + 1), slice(TANGENTIAL_X, TANGENTIAL_Y + 1)
 
 
 class JointData(NamedTuple):
@@ -36,4 +36,4 @@ class JointData(NamedTuple):
 
 def parameter_scale(height: float, focal_px: float) -> Float[np.ndarray, " p"]:
     """One unit of each parameter, for a camera of such a height over the ground and such a focal length."""
-    return np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, focal_px, focal_px, 1.0, 1.0])
+    return np.array([1.0] * 3 + [height] * 3 + [1.0, 1.0, focal_px, focal_px] + [1.0] * 5)

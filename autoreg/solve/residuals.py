@@ -12,7 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from autoreg.solve.joint_data import ASPECT, CENTRE, FOCAL, RADIAL, RATIO, ROTATION, TRANSLATION, JointData
+from autoreg.solve.joint_data import (
+    ASPECT,
+    CENTRE,
+    FOCAL,
+    RADIAL,
+    RATIO,
+    ROTATION,
+    SECOND_RADIAL,
+    TANGENTIAL,
+    TRANSLATION,
+    JointData,
+)
 
 Numbers = Array | np.ndarray
 
@@ -65,7 +76,8 @@ def moved_projection(parameters: Float[Array, " p"], data: JointData) -> Project
     cam_from_plane = jnp.concatenate([turn @ data.R[:, :2] * stretch, position[:, None]], 1)
     k = data.intrinsics
     longer = jnp.exp(p[FOCAL] + p[ASPECT] * jnp.array([0.0, 1.0]))
-    change = [k[:2] * longer, k[2:4] + p[CENTRE], k[4:5] + p[RADIAL], k[5:]]
+    radial = k[4:6] + jnp.stack([p[RADIAL], p[SECOND_RADIAL]])
+    change = [k[:2] * longer, k[2:4] + p[CENTRE], radial, k[6:8] + p[TANGENTIAL], k[8:]]
     return Projection(cam_from_plane, jnp.concatenate(change))
 
 
