@@ -7,6 +7,7 @@ import pytest
 from paved import CAMERA
 from sunk_joints import SUNK, fit_of, nearer
 
+from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.lit_walls import beside_lit_walls
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.slabs.measured_joints import measured_joints
@@ -37,6 +38,19 @@ def test_joints_lie_half_a_width_beyond_the_near_rim_whatever_the_wall_looks_lik
     assert abs(nearer(measured, scene)) < 0.06
     moved = measured.offsets.offset_px - fit.offsets.offset_px
     assert np.allclose(measured.distances_px - fit.distances_px, -moved)
+
+
+@pytest.mark.parametrize("elevation_deg", [25.0, 35.0])
+def test_near_joints_that_are_dark_count_although_the_farther_ones_look_light(elevation_deg: float):
+    scene = replace(LIT, sun_elevation_rad=np.deg2rad(elevation_deg))
+    fit = fit_of(scene, WIDTH, (1, -1), REACH)
+    near = (fit.stations.family == ALONG_X) & (across_slope(fit) < 1.0)
+    assert not fit.usable[near].any()
+    measured = beside_lit_walls(fit)
+    assert measured.usable[near].all()
+    at_feet = replace(measured, usable=near)
+    assert abs(nearer(at_feet, scene)) < 0.06
+    assert abs(nearer(measured, scene)) < 0.06
 
 
 def test_what_is_measured_from_near_rims_says_no_width_and_is_asked_for_no_relief():

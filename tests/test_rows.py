@@ -136,6 +136,17 @@ def test_what_is_no_lattice_at_full_resolution_may_be_rows():
     assert np.rad2deg(np.arccos(np.clip(up @ true_up, -1, 1))) < 0.2
 
 
+def test_rows_that_do_no_better_than_chance_by_the_camera_they_lead_to_are_refused(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    photo = seen_from_the_camera(ashlar(0.3))
+    assert align(photo, CAMERA, camera_height=1.6).lattice.kind == "rows"
+    monkeypatch.setattr("autoreg.answer.full_resolution.line_evidence", lambda *_: (16.0, 0.0))
+    with pytest.raises(Refusal) as refused:
+        align(photo, CAMERA, camera_height=1.6)
+    assert refused.value.code == "no_lattice"
+
+
 @pytest.mark.usefixtures("a_lattice_comes_first")
 def test_what_is_neither_lattice_nor_rows_is_refused_as_no_lattice(gravel_photo: SyntheticPhoto):
     with pytest.raises(Refusal) as refused:

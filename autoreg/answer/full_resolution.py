@@ -18,7 +18,7 @@ from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, r
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.sight import Sight
 from autoreg.paving.corrections import with_measured_shift
-from autoreg.paving.lattice_choice import Paving, presented
+from autoreg.paving.lattice_choice import Paving, line_evidence, presented
 from autoreg.paving.presence import presence_of
 from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
@@ -181,7 +181,16 @@ def _at_detection_scale(fit: Fit, small: np.ndarray, found: Paving) -> Fit:
 
 
 def _settled_rows(small: np.ndarray, fit: Fit, rows: Rows) -> Paving:
+    """Rows where they were found, by the camera and pose that they have led to.
+
+    Raises:
+        Refusal: there they do no better than chance, as arcs that looked like rows by a wrong camera.
+    """
     presence = presence_of(small, fit)
     if len(presence.p) < 6:
         raise no_lattice(None, rows)
-    return Paving(fit, presence, rows.paving.evidence_nats)
+    lines, _ = line_evidence(presence, fit.grid)
+    settled = replace(rows, paving=Paving(fit, presence, (lines, rows.paving.evidence_nats[1])))
+    if settled.margin_nats < 0:
+        raise no_lattice(None, settled)
+    return settled.paving

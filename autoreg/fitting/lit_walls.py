@@ -16,12 +16,13 @@ from functools import cache
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.full_width import width_from_above
 from autoreg.fitting.lights import lights
+from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.joints.joint_looks import Strip
 from autoreg.joints.strips import INDEPENDENT, edge, single
 
@@ -44,6 +45,8 @@ LEAST_NATS, HOPELESS_NATS = 20.0, -40.0
 # Joints that look narrower than this share of those across them, or light where those are dark, may well hide
 # a part: so much likelier is enough for them.
 NARROWER, LEAST_NATS_HIDING = 0.9, 5.0
+# A strip that explains this share of a profile's variance shows that a joint is there.
+LINED = 0.25
 # Other joints' widths tell that these hide a part; without that they may be as narrow as they look, by these
 # shares of the width that a strip fits to all of them, blurred far ones among them.
 AS_NARROW = (1.0, 0.9, 0.8, 0.7, 0.6)
@@ -83,10 +86,10 @@ class _Side:
 def beside_lit_walls(fit: Fit) -> Fit:
     """The fit with the middles of sunk joints measured by strips of three parts, where these are seen."""
     slope, width = across_slope(fit), _full_width(fit)
-    lit = lights(fit, np.arange(len(slope)))
+    lit, lined = lights(fit, np.arange(len(slope))), fit.usable | _taken_for_dark(fit)
     for family in np.unique(fit.stations.family):
         for way, light in product((-1.0, 1.0), lit):
-            seen = fit.usable & light & (fit.stations.family == family) & (way * slope > LEAST_SLOPE)
+            seen = lined & light & (fit.stations.family == family) & (way * slope > LEAST_SLOPE)
             rows = np.flatnonzero(seen)
             if not len(rows):
                 continue
@@ -97,6 +100,20 @@ def beside_lit_walls(fit: Fit) -> Fit:
     return fit
 
 
+def _taken_for_dark(fit: Fit) -> Bool[np.ndarray, " n"]:
+    """Stations of joints that were refused as they are dark, while most of their family are light.
+
+    The steeper they are seen from above the more of their beds shows, which outweighs the light on the walls.
+    """
+    light = np.array([_lighter(fit.strip, family) for family in (ALONG_X, ALONG_Y)])[fit.stations.family]
+    return light & ~fit.usable & (fit.offsets.strength > LINED) & (fit.offsets.depth < 0)
+
+
+def _lighter(strip: Strip, family: int) -> bool:
+    """Whether the joints of a family are light where those across them are dark."""
+    return strip.polarity[family] > 0 > strip.polarity[1 - family]
+
+
 def _looks_of(side: _Side, strip: Strip, family: int, width: float) -> tuple[float, float] | None:
     """How high the light reaches and how light the wall is; None if that does not show."""
     wide = np.flatnonzero(width * side.px_per_unit > LEAST_BLURS * side.blur_px)
@@ -104,8 +121,7 @@ def _looks_of(side: _Side, strip: Strip, family: int, width: float) -> tuple[flo
         return None
     own = strip.width[family]
     narrower = own < NARROWER * width
-    lighter = strip.polarity[family] > 0 > strip.polarity[1 - family]
-    least_nats = LEAST_NATS_HIDING if narrower or lighter else LEAST_NATS
+    least_nats = LEAST_NATS_HIDING if narrower or _lighter(strip, family) else LEAST_NATS
     plain = (own, width) if narrower else tuple(share * own for share in AS_NARROW)
     return _likeliest_looks(side.take(wide), plain, width, least_nats)
 
@@ -122,9 +138,9 @@ def _measured(
     parts = np.array_split(np.arange(len(rows)), -(-len(rows) // SAMPLE))
     farther = np.concatenate([_fitted(side.take(part), width, *looks)[1] for part in parts])
     offset, sigma = fit.offsets.offset_px[rows] + way * farther, fit.offsets.sigma_px[rows]
-    rimmed = fit.rimmed.copy()
-    rimmed[rows] = True
-    return replace(fit.measured_at(rows, offset, sigma), rimmed=rimmed)
+    rimmed, usable = fit.rimmed.copy(), fit.usable.copy()
+    rimmed[rows] = usable[rows] = True
+    return replace(fit.measured_at(rows, offset, sigma), rimmed=rimmed, usable=usable)
 
 
 def _full_width(fit: Fit) -> float:
