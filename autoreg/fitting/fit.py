@@ -21,6 +21,8 @@ from autoreg.solve.solver import CAUCHY_SIGMAS, Solution
 
 # Stations that keep less of their weight do not lie on their joint.
 LEAST_WEIGHT = 0.1
+# Rounds of reweighted least squares by which a pose follows changed measurements.
+FOLLOWED_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,22 @@ class Fit:
         """Median distance of the stations from their lines, in the family with the greater one."""
         used = [self.usable & (self.stations.family == k) for k in np.unique(self.stations.family)]
         return max(float(np.median(np.abs(self.distances_px[rows]))) for rows in used if rows.any())
+
+    def followed_px(self) -> Float[np.ndarray, " n"]:
+        """Distances of the stations from their lines, once the pose has followed what is measured.
+
+        To first order, by robust least squares: of measurements that were changed since the pose was fitted.
+        """
+        J = self.solution.jacobian[:, np.flatnonzero(self.free.mask)]
+        columns = (J / np.maximum(np.linalg.norm(J, axis=0), 1e-12))[self.usable]
+        off, left = self.distances_px[self.usable], self.distances_px
+        for _ in range(FOLLOWED_ROUNDS):
+            weight = replace(self, distances_px=left).weight[self.usable]
+            root = np.sqrt(weight) / self.sigma_px[self.usable]
+            motion = np.linalg.lstsq(columns * root[:, None], -off * root, rcond=1e-9)[0]
+            left = self.distances_px.copy()
+            left[self.usable] = off + columns @ motion
+        return left
 
     def measured_at(
         self,
