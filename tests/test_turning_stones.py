@@ -16,7 +16,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y
-from autoreg.rows.turning_stones import FEWEST_SEGMENTS, common_turn
+from autoreg.rows.turning_stones import FEWEST_SEGMENTS, common_turn, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.synthetic import look_at_ground, render_paving
 from benchmarks.raytrace.scene import Paving
@@ -89,6 +89,23 @@ def test_families_that_turn_against_each_other_are_no_turning_stones(fit: Fit):
     ends_px = np.concatenate([ways[0].ends_px[:half], ways[1].ends_px[half:]])
     segments = Segments(ends_px, ways[0].sigma_px, ways[0].level)
     assert turning(common_turn(segments, fit, sides_turned(fit, ALONG_X, 0.0)[1])) is None
+
+
+@pytest.mark.parametrize("along", [ALONG_X, ALONG_Y])
+@pytest.mark.parametrize("turn_deg", [0.0, 6.0, 30.0, -24.0])
+def test_unbroken_joints_turn_beside_a_small_field_of_rows(fit: Fit, along: int, turn_deg: float):
+    segments, field = sides_turned(fit, along, turn_deg, (ALONG_X,))
+    middle = field.mean(0)
+    # A third of it as long and as wide: the ground around reaches as far as the stones do.
+    turn = turn_of_rows(segments, fit, middle + (field - middle) / 3.0)
+    assert turn is not None
+    assert np.degrees(turn.angle) == pytest.approx(5 / 7 * turn_deg, rel=0.05, abs=0.1)
+    assert (turning(turn) is not None) == (abs(turn_deg) > 1.5 * MOST_FANNED_DEG)
+
+
+def test_cross_joints_do_not_turn_rows(fit: Fit):
+    segments, field = sides_turned(fit, ALONG_X, 30.0, (ALONG_Y,))
+    assert turning(turn_of_rows(segments, fit, field)) is None
 
 
 def test_too_few_joints_tell_no_turn(fit: Fit):

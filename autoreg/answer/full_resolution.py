@@ -24,7 +24,7 @@ from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
 from autoreg.rows.slab_lengths import longer_than_wide, slab_lengths
-from autoreg.rows.turning_stones import common_turn
+from autoreg.rows.turning_stones import common_turn, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.slabs.uncertainty import Settled
 from autoreg.solve.freedom import Free
@@ -66,8 +66,9 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
         Refusal: they cannot be measured, are arcs, or tell the focal length too little.
     """
     fit, crossing = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA)), found.crossing
-    change = change_of_lean(sight.segments, fit, found.paving.presence.field)
-    bowed = arcs(common_arc(fit)) or fanned(change)
+    field = found.paving.presence.field
+    change = change_of_lean(sight.segments, fit, field)
+    bowed = arcs(common_arc(fit)) or fanned(change) or turning(turn_of_rows(sight.segments, fit, field))
     if bowed is not None:
         raise bowed
     squared = None

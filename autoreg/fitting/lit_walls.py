@@ -111,6 +111,8 @@ def _rougher(measured: Fit, fit: Fit, rows: Int[np.ndarray, " n"]) -> bool:
     the wrong rim moves near joints, where it is large in the picture, away from the far ones.
     """
     had = rows[fit.usable[rows]]
+    if not len(had):
+        return False
     was, now = (float(np.median(np.abs(f.followed_px()[r]))) for f, r in ((fit, had), (measured, rows)))
     return now > ROUGHER * was
 

@@ -19,6 +19,8 @@ from autoreg.spread import spread
 
 # Fewer segments than this in a third of the field tell no turn.
 FEWEST_SEGMENTS = 8
+# The ground around a field of rows reaches so many of its sizes to either side.
+AROUND = 1.0
 
 
 def common_turn(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
@@ -39,18 +41,41 @@ def common_turn(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -
     return max(alike, key=lambda turn: abs(turn.angle), default=None)
 
 
+def turn_of_rows(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
+    """By how much the unbroken joints turn from one third of a field, and what lies around it, to the other.
+
+    Along the rows or across them, whichever is more; None where too few joints are seen. A few stones of a
+    wave are rows wherever it is straight enough, but it goes on beside them. The fit, of rows, is at the
+    photo's own resolution.
+    """
+    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
+    turns = [
+        _turn(ground, fit, field, ALONG_X, axis, margin=AROUND, longest=np.inf) for axis in (ALONG_X, ALONG_Y)
+    ]
+    return max((turn for turn in turns if turn is not None), key=lambda t: abs(t.angle), default=None)
+
+
 def _turn(
-    ground: Float[np.ndarray, "n 2 2"], fit: Fit, field: Float[np.ndarray, "k 2"], family: int, axis: int
+    ground: Float[np.ndarray, "n 2 2"],
+    fit: Fit,
+    field: Float[np.ndarray, "k 2"],
+    family: int,
+    axis: int,
+    *,
+    margin: float = 0.0,
+    longest: float = LONGEST,
 ) -> Lean | None:
     """By how much the median direction of a family's segments turns along an axis of the ground.
 
-    Each lies between two joints of the other family, and is a good part of a slab long.
+    Each lies between two joints of the other family, and is a good part of a slab long, or up to `longest`
+    slabs. Those around the field, within a `margin` of so many of its sizes, count as well.
     """
     middle = ground.mean(1)
     side = (fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y)[family]
     length = np.linalg.norm(ground[:, 1] - ground[:, 0], axis=1) / side
     off = off_angle(ground[..., ::-1]) if family == ALONG_X else -off_angle(ground)
-    own = inside_box(middle, field) & (length > SHORTEST) & (length < LONGEST) & (np.abs(off) < FANNED_RAD)
+    own = inside_box(middle, field, margin) & (length > SHORTEST) & (length < longest)
+    own &= np.abs(off) < FANNED_RAD
     off, place = off[own], middle[own, axis]
     if len(off) < 3 * FEWEST_SEGMENTS:
         return None
