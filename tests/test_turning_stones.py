@@ -16,7 +16,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y
-from autoreg.rows.turning_stones import FEWEST_SEGMENTS, common_turn, turn_of_rows
+from autoreg.rows.turning_stones import AROUND, FEWEST_SEGMENTS, common_turn, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.synthetic import look_at_ground, render_paving
 from benchmarks.raytrace.scene import Paving
@@ -74,6 +74,15 @@ def test_stones_turn_from_third_to_third_by_most_of_what_they_do_from_end_to_end
         assert np.degrees(turn.angle) == pytest.approx(5 / 7 * turn_deg, rel=0.05)
     if refusal is not None:
         assert "turn by" in refusal.message
+
+
+def test_stones_that_turn_around_a_small_field_count_where_that_is_asked_for(fit: Fit):
+    segments, field = sides_turned(fit, ALONG_X, 30.0)
+    middle = field.mean(0)
+    # A third of it as long and as wide, in which they turn little.
+    small = middle + (field - middle) / 3.0
+    assert turning(common_turn(segments, fit, small)) is None
+    assert turning(common_turn(segments, fit, small, margin=AROUND)) is not None
 
 
 @pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])

@@ -24,7 +24,7 @@ from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
 from autoreg.rows.slab_lengths import longer_than_wide, slab_lengths
-from autoreg.rows.turning_stones import common_turn, turn_of_rows
+from autoreg.rows.turning_stones import AROUND, common_turn, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.slabs.uncertainty import Settled
 from autoreg.solve.freedom import Free
@@ -93,7 +93,7 @@ def measured_slabs(
     small = sight.looks.picture
     start = found if slab is None else of_slab_shape(small, found, slab, free)
     fit = from_what_shows(_measure(picture, start, free))
-    bowed = _bowed(fit) or turning(common_turn(sight.segments, fit, found.presence.field))
+    bowed = _bowed(fit) or _turned(sight.segments, fit, found.presence.field)
     if bowed is not None:
         raise bowed
     settled = presented(small, _at_detection_scale(fit, small, start))
@@ -111,6 +111,12 @@ def _bowed(fit: Fit) -> Refusal | None:
     """The refusal of a lattice whose unbroken joints are arcs; None if they may be straight."""
     unbroken = (ALONG_X,) if fit.grid.shift else (ALONG_X, ALONG_Y)
     return next((bowed for family in unbroken if (bowed := arcs(common_arc(fit, family)))), None)
+
+
+def _turned(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
+    """The refusal of a lattice whose stones turn, within its field or around it; None if they may not."""
+    turns = (common_turn(segments, fit, field, margin=margin) for margin in (0.0, AROUND))
+    return next((turned for turn in turns if (turned := turning(turn))), None)
 
 
 def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free) -> Squared:

@@ -19,21 +19,24 @@ from autoreg.spread import spread
 
 # Fewer segments than this in a third of the field tell no turn.
 FEWEST_SEGMENTS = 8
-# The ground around a field of rows reaches so many of its sizes to either side.
+# The ground around a field reaches so many of its sizes to either side.
 AROUND = 1.0
 
 
-def common_turn(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
+def common_turn(
+    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], *, margin: float = 0.0
+) -> Lean | None:
     """By how much the joints of both families turn alike from one third of a field to the opposite one.
 
     Across the field whichever way they turn more; the less of both families' turns, counterclockwise, and
     the greater of their standard deviations. None where too few joints are seen, or the families do not turn
-    the same way. The fit, a lattice, is at the photo's own resolution.
+    the same way. The ground around the field counts as well, within a `margin` of so many of its sizes. The
+    fit, a lattice, is at the photo's own resolution.
     """
     ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
     alike: list[Lean] = []
     for axis in (ALONG_X, ALONG_Y):
-        turns = [_turn(ground, fit, field, family, axis) for family in (ALONG_X, ALONG_Y)]
+        turns = [_turn(ground, fit, field, family, axis, margin=margin) for family in (ALONG_X, ALONG_Y)]
         known = [turn for turn in turns if turn is not None]
         if len(known) == 2 and known[0].angle * known[1].angle > 0:
             less = min(known, key=lambda turn: abs(turn.angle))
