@@ -67,6 +67,17 @@ def test_what_is_measured_from_near_rims_says_no_width_and_is_asked_for_no_relie
     assert middles[~lit[rows]].any()
 
 
+def test_walls_that_would_leave_the_joints_farther_from_their_lines_are_not_believed(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    flat = replace(LIT, joint_depth_m=0.0)
+    fit = fit_of(flat, WIDTH, DARK, REACH)
+    monkeypatch.setattr("autoreg.fitting.lit_walls._looks_of", lambda *_: (0.5, 0.95))
+    assert abs(nearer(beside_lit_walls(fit), flat)) < 0.02
+    monkeypatch.setattr("autoreg.fitting.lit_walls._rougher", lambda *_: False)
+    assert abs(nearer(beside_lit_walls(fit), flat)) > 0.1
+
+
 def test_joints_along_the_view_are_left_alone():
     fit = fit_of(LIT, WIDTH, DARK, REACH)
     cross = fit.stations.family == ALONG_Y

@@ -50,9 +50,10 @@ LINED = 0.25
 # Other joints' widths tell that these hide a part; without that they may be as narrow as they look, by these
 # shares of the width that a strip fits to all of them, blurred far ones among them.
 AS_NARROW = (1.0, 0.9, 0.8, 0.7, 0.6)
-# Three parts are a mistake where they leave the joints so many times as far from their lines (median). On
-# ray-traced photos with right ones it was 0.3 to 1.4, where they made things worse mostly 1.6 to 4.
-ROUGHER = 1.5
+# Three parts are a mistake where they leave the joints so many times as far from their lines (median), and
+# farther by such a share of their width. On ray-traced photos with right ones it was 0.3 to 1.4 times, where
+# they made things worse mostly 1.6 to 4.
+ROUGHER, ROUGHER_WIDTHS = 1.5, 0.05
 # Roughness of slabs that no profile is without, as a share of their tone.
 ROUGH = 0.02
 # Keeps tones of parts that are hidden finite.
@@ -105,7 +106,7 @@ def beside_lit_walls(fit: Fit) -> Fit:
 
 
 def _rougher(measured: Fit, fit: Fit, rows: Int[np.ndarray, " n"]) -> bool:
-    """Whether joints, as measured by three parts, lie clearly farther from their lines than they did.
+    """Whether joints that were measured before lie clearly farther from their lines by three parts.
 
     Dark walls beyond beds in the light have much the same profile, the other way round: then a width beyond
     the wrong rim moves near joints, where it is large in the picture, away from the far ones.
@@ -113,8 +114,9 @@ def _rougher(measured: Fit, fit: Fit, rows: Int[np.ndarray, " n"]) -> bool:
     had = rows[fit.usable[rows]]
     if not len(had):
         return False
-    was, now = (float(np.median(np.abs(f.followed_px()[r]))) for f, r in ((fit, had), (measured, rows)))
-    return now > ROUGHER * was
+    was, now = (float(np.median(np.abs(f.followed_px()[had]))) for f in (fit, measured))
+    width_px = fit.strip.width[fit.stations.family[had[0]]] * float(np.median(fit.profiles.px_per_unit[had]))
+    return now > max(ROUGHER * was, was + ROUGHER_WIDTHS * width_px)
 
 
 def _taken_for_dark(fit: Fit) -> Bool[np.ndarray, " n"]:
