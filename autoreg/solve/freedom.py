@@ -91,7 +91,7 @@ def moved_camera(camera: Camera, solution: Solution) -> Camera:
     focal = float(np.exp(p[terms.FOCAL]))
     dx, dy = (float(v) for v in p[terms.CENTRE])
     change = (p[terms.RADIAL], p[terms.SECOND_RADIAL], *p[terms.TANGENTIAL])
-    dist = (*(k + float(more) for k, more in zip(camera.dist, change, strict=False)), *camera.dist[4:])
+    dist = (*(k + float(more) for k, more in zip(camera.dist[:4], change, strict=True)), *camera.dist[4:])
     taller = focal * float(np.exp(p[terms.ASPECT]))
     return replace(
         camera, fx=camera.fx * focal, fy=camera.fy * taller, cx=camera.cx + dx, cy=camera.cy + dy, dist=dist
