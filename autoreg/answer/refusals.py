@@ -190,7 +190,7 @@ def focal_implausible(camera: Camera) -> Refusal:
 
 def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal | None:
     """The refusal of joints that are not at right angles to each other; None if they may be."""
-    degrees = None if lean is None else _clear_deg(lean.angle, lean.sigma, MOST_LEAN_DEG, LEAN_SIGMAS)
+    degrees = _clear_deg(lean, MOST_LEAN_DEG, LEAN_SIGMAS)
     if degrees is None:
         return None
     measured, limit = round(degrees, 2), MOST_LEAN_DEG
@@ -214,12 +214,10 @@ def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal 
 
 def fanned(change: Lean | None) -> Refusal | None:
     """The refusal of joints that turn from row to row as those across arcs do; None if they may not."""
-    if change is None:
-        return None
-    degrees = _clear_deg(change.angle, change.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
     return _curved(
-        degrees,
+        change,
         MOST_FANNED_DEG,
+        FANNED_SIGMAS,
         "the joints across these rows turn by {:.0f} degrees from the first rows to the last, as those of "
         "fans and waves do; photograph slabs with right angles",
     )
@@ -227,12 +225,10 @@ def fanned(change: Lean | None) -> Refusal | None:
 
 def turning(turn: Lean | None) -> Refusal | None:
     """The refusal of stones that turn across their field as those of fans do; None if they may not."""
-    if turn is None:
-        return None
-    degrees = _clear_deg(turn.angle, turn.sigma, MOST_FANNED_DEG, FANNED_SIGMAS)
     return _curved(
-        degrees,
+        turn,
         MOST_FANNED_DEG,
+        FANNED_SIGMAS,
         "these stones turn by {:.0f} degrees from one side of their field to the other, as those of fans and "
         "rings do; photograph slabs in straight rows",
     )
@@ -240,28 +236,29 @@ def turning(turn: Lean | None) -> Refusal | None:
 
 def arcs(arc: Arc | None) -> Refusal | None:
     """The refusal of unbroken joints that bow alike; None if they may be straight."""
-    if arc is None:
-        return None
-    degrees = _clear_deg(arc.turn, arc.sigma, MOST_ARC_DEG, ARC_SIGMAS)
     return _curved(
-        degrees,
+        None if arc is None else Lean(arc.turn, arc.sigma),
         MOST_ARC_DEG,
+        ARC_SIGMAS,
         "the joints along these rows are arcs, which turn by {:.0f} degrees from end to end, as those of "
         "fans and waves do; photograph slabs in straight rows",
     )
 
 
-def _curved(degrees: float | None, limit: float, message: str) -> Refusal | None:
+def _curved(turn: Lean | None, most_deg: float, sure_sigmas: float, message: str) -> Refusal | None:
     """The refusal, by a message about its degrees, of a turn that is clear; None of one that is not."""
+    degrees = _clear_deg(turn, most_deg, sure_sigmas)
     if degrees is None:
         return None
-    return Refusal("no_lattice", message.format(degrees), measured=round(degrees, 1), limit=limit)
+    return Refusal("no_lattice", message.format(degrees), measured=round(degrees, 1), limit=most_deg)
 
 
-def _clear_deg(angle: float, sigma: float, most_deg: float, sure_sigmas: float) -> float | None:
+def _clear_deg(turn: Lean | None, most_deg: float, sure_sigmas: float) -> float | None:
     """The size of an angle in degrees, where it is surely more than none and at least so large; else None."""
-    degrees = float(np.degrees(abs(angle)))
-    return None if degrees < most_deg or abs(angle) < sure_sigmas * sigma else degrees
+    if turn is None:
+        return None
+    degrees = float(np.degrees(abs(turn.angle)))
+    return None if degrees < most_deg or abs(turn.angle) < sure_sigmas * turn.sigma else degrees
 
 
 def _named(paving: Paving) -> str:

@@ -65,21 +65,24 @@ class Fit:
         used = [self.usable & (self.stations.family == k) for k in np.unique(self.stations.family)]
         return max(float(np.median(np.abs(self.distances_px[rows]))) for rows in used if rows.any())
 
+    def motion_along(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
+        """The motion by some columns, of which each is a station's change, that lays the joints best.
+
+        Least squares by the stations' weights as they are.
+        """
+        weight = np.sqrt(self.weight) / self.sigma_px
+        return np.linalg.lstsq(columns * weight[:, None], -self.distances_px * weight, rcond=1e-9)[0]
+
     def followed_px(self) -> Float[np.ndarray, " n"]:
         """Distances of the stations from their lines, once the pose has followed what is measured.
 
         To first order, by robust least squares: of measurements that were changed since the pose was fitted.
         """
         J = self.solution.jacobian[:, np.flatnonzero(self.free.mask)]
-        columns = (J / np.maximum(np.linalg.norm(J, axis=0), 1e-12))[self.usable]
-        off, left = self.distances_px[self.usable], self.distances_px
+        columns, fit = J / np.maximum(np.linalg.norm(J, axis=0), 1e-12), self
         for _ in range(FOLLOWED_ROUNDS):
-            weight = replace(self, distances_px=left).weight[self.usable]
-            root = np.sqrt(weight) / self.sigma_px[self.usable]
-            motion = np.linalg.lstsq(columns * root[:, None], -off * root, rcond=1e-9)[0]
-            left = self.distances_px.copy()
-            left[self.usable] = off + columns @ motion
-        return left
+            fit = replace(fit, distances_px=fit.distances_px + columns @ fit.motion_along(columns))
+        return fit.distances_px
 
     def measured_at(
         self,

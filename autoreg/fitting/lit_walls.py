@@ -23,6 +23,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.fitting.full_width import width_from_above
 from autoreg.fitting.lights import lights
 from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.joints.edges import LEAST_STRENGTH
 from autoreg.joints.joint_looks import Strip
 from autoreg.joints.strips import INDEPENDENT, edge, single
 
@@ -45,8 +46,6 @@ LEAST_NATS, HOPELESS_NATS = 20.0, -40.0
 # Joints that look narrower than this share of those across them, or light where those are dark, may well hide
 # a part: so much likelier is enough for them.
 NARROWER, LEAST_NATS_HIDING = 0.9, 5.0
-# A strip that explains this share of a profile's variance shows that a joint is there.
-LINED = 0.25
 # Other joints' widths tell that these hide a part; without that they may be as narrow as they look, by these
 # shares of the width that a strip fits to all of them, blurred far ones among them.
 AS_NARROW = (1.0, 0.9, 0.8, 0.7, 0.6)
@@ -125,7 +124,7 @@ def _taken_for_dark(fit: Fit) -> Bool[np.ndarray, " n"]:
     The steeper they are seen from above the more of their beds shows, which outweighs the light on the walls.
     """
     light = np.array([_lighter(fit.strip, family) for family in (ALONG_X, ALONG_Y)])[fit.stations.family]
-    return light & ~fit.usable & (fit.offsets.strength > LINED) & (fit.offsets.depth < 0)
+    return light & ~fit.usable & (fit.offsets.strength > LEAST_STRENGTH) & (fit.offsets.depth < 0)
 
 
 def _lighter(strip: Strip, family: int) -> bool:

@@ -14,7 +14,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, Grid, visible_sides
 from autoreg.ground.stations import Stations, place_stations
-from autoreg.joints.edges import Offsets, fit_offsets
+from autoreg.joints.edges import LEAST_STRENGTH, Offsets, fit_offsets
 from autoreg.joints.joint_looks import (
     DARK,
     Strip,
@@ -256,7 +256,7 @@ def _measured(
     """
     width_px = width_px_of(strip, stations, profiles)
     offsets = fit_offsets(profiles, start, np.minimum(width_px, widest_px), strip.blur_px)
-    usable = (offsets.strength > 0.25) & np.isfinite(offsets.offset_px)
+    usable = (offsets.strength > LEAST_STRENGTH) & np.isfinite(offsets.offset_px)
     usable &= np.abs(offsets.offset_px) < reach_px + 1.5
     if known:
         # A strip that is too narrow holds on to one edge.

@@ -34,6 +34,8 @@ ROOM_STEP_PX = 4.0
 WIDEST_PX = 2.0**4.5
 # Columns that are shorter than this are rounding errors.
 LEAST_NORM = 1e-6
+# A strip that explains no more than this share of a profile's variance shows no joint.
+LEAST_STRENGTH = 0.25
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,6 @@ def with_measured_shift(fit: Fit) -> Fit | None:
 def recentred(fit: Fit) -> Fit:
     """The fit moved without a turn to where its joints lie best: robustly weighted least squares."""
     J = fit.solution.jacobian[:, terms.TRANSLATION]
-    weight = np.sqrt(fit.weight) / fit.sigma_px
-    step = np.linalg.lstsq(J * weight[:, None], -fit.distances_px * weight, rcond=1e-9)[0]
+    step = fit.motion_along(J)
     pose = Rigid(fit.cam_from_ground.R, fit.cam_from_ground.t + step)
     return replace(fit, cam_from_ground=pose, distances_px=fit.distances_px + J @ step)
