@@ -24,6 +24,7 @@ from autoreg.answer.slab_shape import plausible_focal
 from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
+from autoreg.fields import largest_field
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.sight import Sight, see
@@ -159,6 +160,8 @@ def _laid(
     """
     height, width = picture.shape
     found = _found(sight, camera, slab)
+    if camera is not None and isinstance(found, Paving):
+        found = largest_field(sight, found, camera, slab)
     given = camera if source == "file" else None
     free = _freedom(camera, source, slab, width, height)
     try:

@@ -6,6 +6,7 @@ All of it is done at detection scale; what it finds is measured at the photo's o
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from autoreg.answer.refusals import ambiguous, camera_contradicted, no_lattice
 from autoreg.camera import Camera
@@ -109,6 +110,23 @@ def find_paving(
                     raise _no_paving(sight, camera, best, fields)
             best = plain
     return _unrivalled(best)
+
+
+def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving | None:
+    """The lattice that is plain to see on a known ground, at detection scale, if there is any.
+
+    Args:
+        sight: what is seen of the photo.
+        camera: its camera.
+        R: cam_from_ground rotation, along whose X and Y axes the joints run.
+    """
+    free, looks, segments = Free(ratio=True), sight.looks, sight.segments
+    found = _at_a_glance(looks, segments, [(camera, R)], free)
+    if found is not None and found.plain:
+        return found
+    planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
+    pavings = lay_lattice(looks, planes[0], free) if planes else ()
+    return next((paving for paving in pavings[:1] if paving.plain), None)
 
 
 def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:

@@ -96,7 +96,7 @@ def measured_slabs(
     bowed = _bowed(fit) or _turned(sight.segments, fit, found.presence.field)
     if bowed is not None:
         raise bowed
-    settled = presented(small, _at_detection_scale(fit, small, start))
+    settled = presented(small, _at_detection_scale(fit, small, start), within=start.within)
     if settled is None or settled.margin_nats < 0:
         raise no_lattice(settled, None)
     return Laid(fit, settled, likeliest(picture, fit))

@@ -105,7 +105,8 @@ def _by_another_focal(
         return None
     if again.roughness_px > max(ROUGHER * fit.roughness_px, fit.roughness_px + ROUGHER_PX):
         return None
-    seen = presented(small, again)
+    within = None if found.within is None else found.within * longer
+    seen = presented(small, again, within=within)
     return None if seen is None or seen.margin_nats < 0 else seen
 
 

@@ -54,6 +54,11 @@ class Fit:
         return self.usable / (1.0 + (self.distances_px / (CAUCHY_SIGMAS * self.sigma_px)) ** 2)
 
     @property
+    def met(self) -> int:
+        """How many stations lie on their joint."""
+        return int((self.weight >= LEAST_WEIGHT).sum())
+
+    @property
     def missed(self) -> float:
         """Share of the stations that do not lie on their joint, in the family with more of them."""
         off, family = self.weight < LEAST_WEIGHT, self.stations.family

@@ -57,6 +57,7 @@ class Paving:
     presence: Presence
     evidence_nats: tuple[float, float]
     closer: Presence | None = None
+    within: Float[np.ndarray, "k 2"] | None = None
 
     @property
     def grid(self) -> Grid:
@@ -197,12 +198,18 @@ def same_lattice(one: Fit, other: Fit) -> bool:
     return bool(np.abs(places - np.round(places)).max() < SAME_PLACE)
 
 
-def presented(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | None = None) -> Paving | None:
+def presented(
+    picture: Float[np.ndarray, "h w"],
+    fit: Fit,
+    presence: Presence | None = None,
+    *,
+    within: Float[np.ndarray, "k 2"] | None = None,
+) -> Paving | None:
     """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do."""
-    presence = presence or presence_of(picture, fit)
+    presence = presence or presence_of(picture, fit, field=within)
     if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
         return None
-    paving = Paving(fit, presence, line_evidence(presence, fit.grid))
+    paving = Paving(fit, presence, line_evidence(presence, fit.grid), within=within)
     if not NOTHING_NATS < paving.margin_nats < PLAIN_NATS:
         return paving
     price = 0.5 * GROUND_COST

@@ -31,8 +31,9 @@ from autoreg.joints.profiles import sample_profiles
 # each, so that the p-values are fine enough.
 CONTROL_RANGE = (0.25, 0.75)
 CONTROLS_WANTED, CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 1500, 48, 3
-# Samples along each side.
-ALONG_SAMPLES = 10
+# Slabs that look smaller than this tell nothing. A joint may lie so far from where it is predicted; so many
+# samples are taken along it.
+LEAST_SIDE_PX, TOLERANCE_PX, ALONG_SAMPLES = 8.0, 1.5, 10
 # How sharply the p-values of visible sides gather at zero, and shares of true sides that cannot be seen
 # (worn, overgrown, far, covered): the share that suits a photo best is taken.
 SHARPNESS = 0.2
@@ -168,17 +169,19 @@ def side_presence(
     grid: Grid,
     strip: Strip,
     *,
-    reach: float = 12.0,
-    tolerance_px: float = 1.5,
     limit: int = 1200,
     only: int | None = None,
+    field: Float[np.ndarray, "k 2"] | None = None,
     controls_wanted: int = CONTROLS_WANTED,
 ) -> Presence:
-    """How well each visible side of a lattice, or of its one family `only`, is supported by the picture."""
-    sides = visible_sides(camera, cam_from_ground, grid, reach=reach, min_px=8.0, limit=limit, only=only)
-    return _presence_of_sides(
-        picture, camera, cam_from_ground, grid, strip, sides, tolerance_px, controls_wanted
+    """How well each visible side of a lattice is supported by the picture.
+
+    Only those of the family `only`, if that is given, and of a convex counter-clockwise `field`.
+    """
+    sides = visible_sides(
+        camera, cam_from_ground, grid, min_px=LEAST_SIDE_PX, limit=limit, only=only, field=field
     )
+    return _presence_of_sides(picture, camera, cam_from_ground, grid, strip, sides, controls_wanted)
 
 
 def _presence_of_sides(
@@ -188,7 +191,6 @@ def _presence_of_sides(
     grid: Grid,
     strip: Strip,
     sides: Sides,
-    tolerance_px: float = 1.5,
     controls_wanted: int = CONTROLS_WANTED,
 ) -> Presence:
     n = len(sides)
@@ -197,9 +199,7 @@ def _presence_of_sides(
         return Presence(sides, none, none, none, none, np.zeros((0, 2)))
     controls = int(np.clip(np.ceil(controls_wanted / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
     shares = np.r_[0.0, np.linspace(*CONTROL_RANGE, controls)]
-    support, half_px, at_px = support_beside(
-        picture, camera, cam_from_ground, grid, strip, sides, shares, tolerance_px
-    )
+    support, half_px, at_px = support_beside(picture, camera, cam_from_ground, grid, strip, sides, shares)
     p = np.ones(n)
     for family in (ALONG_X, ALONG_Y):
         members = np.flatnonzero(sides.family == family)
@@ -220,7 +220,6 @@ def support_beside(
     strip: Strip,
     sides: Sides,
     shares: Float[np.ndarray, " k"],
-    tolerance_px: float = 1.5,
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Support of places that lie so many shares of the spacing beside each side, the first of them on it.
 
@@ -246,7 +245,7 @@ def support_beside(
         profiles,
         np.minimum(width, 6.0),
         strip.blur_px,
-        tolerance_px,
+        TOLERANCE_PX,
         np.clip(room, 3.0, 8.0),
         np.array(strip.polarity)[stations.family],
     )
@@ -259,6 +258,7 @@ def presence_of(
     *,
     limit: int = 1200,
     only: int | None = None,
+    field: Float[np.ndarray, "k 2"] | None = None,
     controls_wanted: int = CONTROLS_WANTED,
 ) -> Presence:
     """How well each visible side of a fit's lattice is supported by the picture of its camera."""
@@ -270,6 +270,7 @@ def presence_of(
         fit.strip,
         limit=limit,
         only=only,
+        field=field,
         controls_wanted=controls_wanted,
     )
 

@@ -116,7 +116,8 @@ def check_camera(
                 and both.scatter.aside * px > EVEN_PX
             )
             met = fit.missed > MISSED and freed.missed < FEWER * fit.missed
-            rough, was = freed.roughness_px, fit.roughness_px
+            # Of fewer joints a free camera makes what it likes.
+            rough, was = freed.roughness_px, fit.roughness_px * min(1.0, freed.met / max(1, fit.met))
             if (met and rough < ROUGHER * was) or (evener and rough < SMOOTHER * was):
                 fit, both, chi_square, shift = tried[-1]
             # A camera that is wrong is worth the time to find the right one.

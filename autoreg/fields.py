@@ -1,0 +1,238 @@
+"""Of several fields of paving in a photo, the largest.
+
+What is plainest to see in a photo, mostly what is nearest, is found first. Where many edges beside it run
+square to each other as well, the field is painted over and the rest of the photo looked at as a photo of its
+own. What is found there by the same camera on the same ground is another field, and the answer if it is
+larger, or if its slabs are those that were asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from autoreg.camera import Camera
+from autoreg.fitting.fit import Fit
+from autoreg.geometry import Rigid, rotation_from_vector
+from autoreg.ground.points import inside_convex, lengths, on_ground, project_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.ground.sight import Sight, see
+from autoreg.paving.lattice_choice import Paving, has_ratio, presented
+from autoreg.paving.lay import refine_in_field
+from autoreg.paving.presence import presence_of
+from autoreg.search import find_on
+
+# Edges beside a field, up to so many camera heights away, tell of another one where those square to each
+# other within an angle are so many times as long as those in it, and where no direction has less than a share
+# of them: those of houses have next to nothing that is square to them on the ground. Where the slabs of the
+# field are not those that are looked for, less is enough.
+REACH, SQUARE_RAD, BESIDE, BESIDE_UNSUITED, BOTH = 12.0, np.radians(3.0), 0.35, 0.1, 0.05
+# Bins of the angles of edges, up to quarter turns.
+ANGLES = 45
+# The rest of a photo is the box that holds all but this share of the edges beside the field at each end.
+STRAY = 0.03
+# A smaller part shows too little.
+LEAST_PX = 150
+# Fields that lie on planes further apart are not on the same ground.
+SAME_GROUND_RAD = np.radians(2.0)
+# A field that continues the lattice of one that is known is a part of it: their spacings and shifts are about
+# the same, and its lattice shows this share of what the other one shows in its own field.
+SAME_SPACING, SAME_SHIFT, SAME_SHOWN = 0.05, 0.05, 0.7
+# All the sides of a field, so that its extent is told.
+ALL_SIDES = 6000
+# Steps along each side of a field's outline, which a lens bends, and what paint is mixed from: a picture of
+# this share of the size, over this share of its longer side.
+OUTLINE_STEPS, PAINT_SCALE, PAINT_REACH = 40, 0.125, 0.08
+
+
+def largest_field(
+    sight: Sight, found: Paving, camera: Camera, slab: tuple[float, float] | None = None
+) -> Paving:
+    """The larger one of the field that was found and another beside it, if there is any.
+
+    Of two fields, one of which has slabs of the known shape, that one.
+
+    Args:
+        sight: what is seen of the photo.
+        found: the paving that was found in it first, at detection scale.
+        camera: the photo's camera.
+        slab: sides of a slab in either order, if known.
+    """
+    suits = slab is None or has_ratio(found.grid, slab)
+    covered = _Covered(found.fit.cam_from_ground, found.presence.field)
+    part = _part_beside(sight, camera, covered, BESIDE if suits else BESIDE_UNSUITED)
+    other = None if part is None else _found_in(sight, camera, covered, part)
+    whole = None if other is None else _in_whole(sight, camera, other)
+    if whole is None or not _same_ground(found.fit, whole.fit) or _continues(sight, whole.fit, found):
+        return found
+    return _preferred(sight, found, whole, slab)
+
+
+def _preferred(sight: Sight, found: Paving, other: Paving, slab: tuple[float, float] | None) -> Paving:
+    """The one of two fields whose slabs are those that are known, or else the larger one."""
+    suited = [slab is None or has_ratio(paving.grid, slab) for paving in (found, other)]
+    if suited[0] != suited[1]:
+        return found if suited[0] else other
+    return max(found, other, key=lambda paving: _size(sight, paving.fit))
+
+
+@dataclass(frozen=True)
+class _Covered:
+    """A part of the ground that is known to be paved, a convex polygon in the frame of a pose."""
+
+    cam_from_ground: Rigid
+    field: Float[np.ndarray, "k 2"]
+
+    def holds(self, px: Float[np.ndarray, "n 2"], camera: Camera) -> Bool[np.ndarray, " n"]:
+        """Which pixels show a place in it, or beside it by little."""
+        ground = on_ground(px, camera, self.cam_from_ground)
+        margin = 0.02 * float(np.ptp(self.field, axis=0).max())
+        return inside_convex(ground, self.field, margin) & np.isfinite(ground).all(-1)
+
+    def outline_px(self, camera: Camera) -> Int[np.ndarray, "n 2"]:
+        """Its outline in the picture."""
+        steps = np.arange(OUTLINE_STEPS)[:, None, None] / OUTLINE_STEPS
+        corners = self.field + steps * (np.roll(self.field, -1, axis=0) - self.field)
+        px = project_ground(camera, self.cam_from_ground, corners.swapaxes(0, 1).reshape(-1, 2))
+        far = 4 * max(camera.width, camera.height)
+        return np.round(np.clip(px[np.isfinite(px).all(1)], -far, far)).astype(int)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A part of a photo in whole pixels, and how its joints lie: a cam_from_ground rotation along them."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+    R: Float[np.ndarray, "3 3"]
+
+
+def _part_beside(sight: Sight, camera: Camera, covered: _Covered, least: float) -> _Part | None:
+    """Where edges beside a known field, square to each other on its ground, fill a part of the photo.
+
+    None if they are less than a share of those in the field, or hardly any are square to the others.
+    """
+    ends, size_px = sight.segments.ends_px, sight.segments.length_px
+    inside = covered.holds(ends.mean(1), camera)
+    pose = covered.cam_from_ground
+    ground = on_ground(ends.reshape(-1, 2), camera, pose).reshape(-1, 2, 2)
+    foot = pose.origin_in_a
+    with np.errstate(invalid="ignore"):
+        near = lengths(ground.mean(1) - foot[:2]) < REACH * foot[2]
+    others = np.flatnonzero(near & ~inside)
+    turn, along, across = _square(ground[others], size_px[others])
+    length = [float(size_px[others[rows]].sum()) for rows in (along, across)]
+    if min(length) < BOTH * sum(length) or sum(length) <= least * size_px[inside].sum():
+        return None
+    beside = others[along | across]
+    weight = np.repeat(size_px[beside], 2)
+    left, right = _span(ends[beside, :, 0].ravel(), weight, camera.width)
+    top, bottom = _span(ends[beside, :, 1].ravel(), weight, camera.height)
+    R = pose.R @ rotation_from_vector(np.array([0.0, 0.0, turn]))
+    part = _Part(left, top, right - left, bottom - top, R)
+    return None if min(part.width, part.height) < LEAST_PX else part
+
+
+def _square(
+    ground: Float[np.ndarray, "n 2 2"], weight: Float[np.ndarray, " n"]
+) -> tuple[float, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """The angle that most segments on the ground run at, which of them do, and which are square to it."""
+    x, y = (ground[:, 1] - ground[:, 0]).T
+    angle = np.mod(np.arctan2(y, x), np.pi)
+    counts = np.bincount((angle * (2 * ANGLES / np.pi)).astype(int) % (2 * ANGLES), weight, 2 * ANGLES)
+    # Up to quarter turns, and over the border of two bins.
+    counts = counts.reshape(2, ANGLES).sum(0)
+    common = float(np.argmax(counts + np.roll(counts, 1)) * (0.5 * np.pi / ANGLES))
+    off = np.mod(angle - common + np.pi / 4.0, np.pi) - np.pi / 4.0
+    along, across = np.abs(off) < SQUARE_RAD, np.abs(off - np.pi / 2.0) < SQUARE_RAD
+    near = np.where(along, off, off - np.pi / 2.0)[along | across]
+    return (
+        common + float(near @ weight[along | across] / max(weight[along | across].sum(), 1e-9)),
+        along,
+        across,
+    )
+
+
+def _span(at: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], limit: int) -> tuple[int, int]:
+    """Between which whole numbers, up to a limit, almost all places lie."""
+    order = np.argsort(at)
+    total = np.cumsum(weight[order])
+    first, last = np.searchsorted(total, np.array([STRAY, 1.0 - STRAY]) * total[-1])
+    low, high = at[order[first]], at[order[last]]
+    return max(0, int(low)), min(limit, int(high) + 1)
+
+
+def _painted(gray: UInt8[np.ndarray, "h w"], camera: Camera, covered: _Covered) -> UInt8[np.ndarray, "h w"]:
+    """The photo with its known field in a tone like that of what lies around it."""
+    left = np.ones(gray.shape, np.float32)
+    cv2.fillPoly(left, [covered.outline_px(camera)], 0.0)
+    small, share = (
+        cv2.resize(each, None, fx=PAINT_SCALE, fy=PAINT_SCALE, interpolation=cv2.INTER_AREA)
+        for each in (gray * left, left)
+    )
+    reach = PAINT_REACH * max(small.shape)
+    paint, amount = (cv2.GaussianBlur(each, (0, 0), reach) for each in (small, share))
+    tone = cv2.resize(paint / np.maximum(amount, 1e-3), (camera.width, camera.height))
+    return np.where(left > 0.0, gray, np.clip(tone, 0.0, 255.0)).astype(np.uint8)
+
+
+def _found_in(sight: Sight, camera: Camera, covered: _Covered, part: _Part) -> Paving | None:
+    """The lattice that is plain to see in a part of the photo whose known field is painted over."""
+    rows, columns = slice(part.top, part.top + part.height), slice(part.left, part.left + part.width)
+    gray = np.ascontiguousarray(_painted(sight.gray, camera, covered)[rows, columns])
+    return find_on(see(gray), camera.cropped(part.left, part.top, part.width, part.height), part.R)
+
+
+def _same_ground(one: Fit, other: Fit) -> bool:
+    """Whether two fields may lie on the same ground, as the camera sees it."""
+    up = float(one.cam_from_ground.R[:, 2] @ other.cam_from_ground.R[:, 2])
+    return bool(up > np.cos(SAME_GROUND_RAD))
+
+
+def _continues(sight: Sight, other: Fit, known: Paving) -> bool:
+    """Whether a lattice is that of another field on the same ground: its joints are there as well."""
+    if abs(other.grid.shift - known.grid.shift) > SAME_SHIFT:
+        return False
+    pose, own = known.fit.cam_from_ground, other.cam_from_ground
+    # Both ground frames are seen from the same place, at scales of their own.
+    scale = float(own.origin_in_a[2] / pose.origin_in_a[2])
+    mine, theirs = (np.sort([p.grid.spacing_x or np.inf, p.grid.spacing_y]) for p in (known, other))
+    if not np.allclose(theirs, mine * scale, rtol=SAME_SPACING):
+        return False
+    there = own.inverse @ Rigid(pose.R, scale * pose.t)
+    field = there.apply(np.c_[known.presence.field * scale, np.zeros(len(known.presence.field))])[:, :2]
+    near = refine_in_field(sight.looks.picture, other, field)
+    return _shown(sight, near, field) > SAME_SHOWN * _shown(sight, known.fit, known.presence.field)
+
+
+def _shown(sight: Sight, fit: Fit, field: Float[np.ndarray, "k 2"]) -> float:
+    """The share of the sides of a lattice in a part of the ground that is there, in the family with less."""
+    presence = presence_of(sight.looks.picture, fit, field=field)
+    families = [presence.there[presence.sides.family == family] for family in (ALONG_X, ALONG_Y)]
+    return min(float(there.mean()) if len(there) else 0.0 for there in families)
+
+
+def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
+    """A field that was found in a part of the photo, as the whole photo shows it at detection scale."""
+    picture = sight.looks.picture
+    seen = replace(other.fit, camera=camera.scaled(picture.shape[1], picture.shape[0]))
+    fit = refine_in_field(picture, seen, other.presence.field)
+    whole = presented(picture, fit, within=_whole_field(sight, fit))
+    return None if whole is None or whole.margin_nats <= 0 else whole
+
+
+def _whole_field(sight: Sight, fit: Fit) -> Float[np.ndarray, "k 2"]:
+    """The field of all sides of a lattice, however small they are seen."""
+    return presence_of(sight.looks.picture, fit, limit=ALL_SIDES).field
+
+
+def _size(sight: Sight, fit: Fit) -> float:
+    """The area of a lattice's field, in squares of the camera's height."""
+    x, y = _whole_field(sight, fit).T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    return area / float(fit.cam_from_ground.origin_in_a[2]) ** 2
