@@ -282,6 +282,36 @@ def test_a_camera_that_misses_a_handful_of_joints_fewer_is_no_word_against_the_g
     assert not check_camera(missing(right, len(right.distances_px) // 4), gray).consistent
 
 
+def of_stations(fit: Fit, rows: np.ndarray) -> Fit:
+    """A fit as if it had been made with some of its stations alone."""
+    offsets = replace(fit.offsets, **{k: v[rows] for k, v in vars(fit.offsets).items()})
+    told = fit.solution
+    solution = replace(told, distances_px=told.distances_px[rows], jacobian=told.jacobian[rows])
+    own = {name: getattr(fit, name)[rows] for name in ("distances_px", "sigma_px", "usable", "rimmed")}
+    return replace(
+        fit,
+        stations=fit.stations.take(rows),
+        profiles=fit.profiles.take(rows),
+        offsets=offsets,
+        solution=solution,
+        **own,
+    )
+
+
+@pytest.mark.parametrize(("kept", "consistent"), [(4, True), (1, False)])
+def test_a_camera_by_which_few_joints_lie_smoother_is_no_word_against_the_given_one(
+    monkeypatch: pytest.MonkeyPatch, kept: int, consistent: bool
+) -> None:
+    # A quarter of the joints is missed; a free camera misses none, of all of them or of every fourth.
+    right, other = fitted(0.002, 0), fitted(0.002, 0, 1.08)
+    numbers = np.arange(len(right.distances_px))
+    given = replace(right, distances_px=np.where(numbers % 4 == 0, 100.0, right.distances_px))
+    smoother = replace(right, camera=other.camera, distances_px=0.9 * right.distances_px)
+    freed = of_stations(smoother, np.flatnonzero(numbers % kept == 0))
+    monkeypatch.setattr(camera_check, "_fits_with_free_camera", lambda *asked: [freed])
+    assert check_camera(given, picture(0.002, 0)).consistent == consistent
+
+
 def test_a_shift_that_slabs_are_really_laid_by_is_no_contradiction() -> None:
     check = check_camera(bond_fitted(0.485, 1.0), bonded(0.485))
     assert check.consistent

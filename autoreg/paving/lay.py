@@ -145,8 +145,8 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: b
     if fit is None:
         return None
     presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES)
-    if not hopeful(presence, both=both) and start.field is not None:
-        # A small field afar has none of the sides that are largest in the picture.
+    if start.field is not None and len(presence.p) == GLANCE_SIDES and not hopeful(presence, both=both):
+        # A small field afar may have none of the sides that are largest in the picture.
         presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES, field=start.field)
     if len(presence.p) < 6 or not hopeful(presence, both=both):
         return None
