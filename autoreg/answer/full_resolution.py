@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from autoreg.answer.last_step import likeliest
-from autoreg.answer.refusals import arcs, fanned, focal_untold, maybe_wall, no_lattice, turning
+from autoreg.answer.refusals import arcs, fanned, filled, focal_untold, maybe_wall, no_lattice, turning
 from autoreg.answer.right_angles import Squared, square_up
 from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal
@@ -18,6 +18,7 @@ from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, r
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.sight import Sight
 from autoreg.paving.corrections import with_measured_shift
+from autoreg.paving.inner_joints import inner_share
 from autoreg.paving.lattice_choice import Paving, line_evidence, presented
 from autoreg.paving.presence import presence_of
 from autoreg.rows.arcs import common_arc
@@ -88,7 +89,8 @@ def measured_slabs(
     """A lattice, with the slab's ratio of sides if that is given.
 
     Raises:
-        Refusal: it cannot be of such slabs, its joints are arcs, or it vanishes at full resolution.
+        Refusal: it cannot be of such slabs, its joints are arcs, its slabs are full of joints, or it vanishes
+            at full resolution.
     """
     small = sight.looks.picture
     start = found if slab is None else of_slab_shape(small, found, slab, free)
@@ -99,6 +101,9 @@ def measured_slabs(
     settled = presented(small, _at_detection_scale(fit, small, start), within=start.within)
     if settled is None or settled.margin_nats < 0:
         raise no_lattice(settled, None)
+    full = filled(inner_share(sight.segments, fit, settled.presence.field))
+    if full is not None:
+        raise full
     return Laid(fit, settled, likeliest(picture, fit))
 
 

@@ -26,6 +26,9 @@ MOST_LEAN_DEG, LEAN_SIGMAS = 3.0, 5.0
 MOST_FANNED_DEG, FANNED_SIGMAS = 8.0, 2.5
 # Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
 MOST_ARC_DEG, ARC_SIGMAS = 3.5, 4.0
+# Of the edges along a lattice's joints so many lie inside its slabs, over the share of those that lie
+# anywhere, where the slabs are cells of a pattern: 1.0 and more in herringbone, 0.3 at the most in real ones.
+MOST_INNER = 0.5
 # A camera's focal length must differ by this much before it is blamed for a refusal.
 FOCAL_BLAME = 0.05
 # ... and its principal point lie so far off the middle, as a share of the width.
@@ -242,6 +245,19 @@ def arcs(arc: Arc | None) -> Refusal | None:
         ARC_SIGMAS,
         "the joints along these rows are arcs, which turn by {:.0f} degrees from end to end, as those of "
         "fans and waves do; photograph slabs in straight rows",
+    )
+
+
+def filled(inner: float) -> Refusal | None:
+    """The refusal of a lattice whose slabs are full of edges along its joints; None if they are not."""
+    if inner < MOST_INNER:
+        return None
+    return Refusal(
+        "no_lattice",
+        "what repeats here as slabs would is full of joints itself, as herringbone and other patterns of "
+        "several stones are; photograph slabs in straight rows",
+        measured=round(inner, 2),
+        limit=MOST_INNER,
     )
 
 
