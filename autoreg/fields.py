@@ -18,7 +18,6 @@ from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.points import inside_convex, lengths, on_ground, project_ground
-from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight, see
 from autoreg.paving.lattice_choice import Paving, has_ratio, presented
 from autoreg.paving.lay import refine_in_field
@@ -38,9 +37,9 @@ STRAY = 0.03
 LEAST_PX = 150
 # Fields that lie on planes further apart are not on the same ground.
 SAME_GROUND_RAD = np.radians(2.0)
-# A field that continues the lattice of one that is known is a part of it: their spacings and shifts are about
-# the same, and its lattice shows this share of what the other one shows in its own field.
-SAME_SPACING, SAME_SHIFT, SAME_SHOWN = 0.05, 0.05, 0.7
+# Two lattices whose spacings are nearer to each other than this share, and whose shifts are about the same,
+# may be one: by a camera that is off by a fifth they change by as much from one part of it to another.
+SAME_SPACING, SAME_SHIFT = 0.2, 0.05
 # All the sides of a field, so that its extent is told.
 ALL_SIDES = 6000
 # Steps along each side of a field's outline, which a lens bends, and what paint is mixed from: a picture of
@@ -65,8 +64,10 @@ def largest_field(
     covered = _Covered(found.fit.cam_from_ground, found.presence.field)
     part = _part_beside(sight, camera, covered, BESIDE if suits else BESIDE_UNSUITED)
     other = None if part is None else _found_in(sight, camera, covered, part)
-    whole = None if other is None else _in_whole(sight, camera, other)
-    if whole is None or not _same_ground(found.fit, whole.fit) or _continues(sight, whole.fit, found):
+    if other is None or _alike(found, other):
+        return found
+    whole = _in_whole(sight, camera, other)
+    if whole is None or not _same_ground(found.fit, whole.fit):
         return found
     return _preferred(sight, found, whole, slab)
 
@@ -194,27 +195,14 @@ def _same_ground(one: Fit, other: Fit) -> bool:
     return bool(up > np.cos(SAME_GROUND_RAD))
 
 
-def _continues(sight: Sight, other: Fit, known: Paving) -> bool:
-    """Whether a lattice is that of another field on the same ground: its joints are there as well."""
-    if abs(other.grid.shift - known.grid.shift) > SAME_SHIFT:
-        return False
-    pose, own = known.fit.cam_from_ground, other.cam_from_ground
-    # Both ground frames are seen from the same place, at scales of their own.
-    scale = float(own.origin_in_a[2] / pose.origin_in_a[2])
-    mine, theirs = (np.sort([p.grid.spacing_x or np.inf, p.grid.spacing_y]) for p in (known, other))
-    if not np.allclose(theirs, mine * scale, rtol=SAME_SPACING):
-        return False
-    there = own.inverse @ Rigid(pose.R, scale * pose.t)
-    field = there.apply(np.c_[known.presence.field * scale, np.zeros(len(known.presence.field))])[:, :2]
-    near = refine_in_field(sight.looks.picture, other, field)
-    return _shown(sight, near, field) > SAME_SHOWN * _shown(sight, known.fit, known.presence.field)
-
-
-def _shown(sight: Sight, fit: Fit, field: Float[np.ndarray, "k 2"]) -> float:
-    """The share of the sides of a lattice in a part of the ground that is there, in the family with less."""
-    presence = presence_of(sight.looks.picture, fit, field=field)
-    families = [presence.there[presence.sides.family == family] for family in (ALONG_X, ALONG_Y)]
-    return min(float(there.mean()) if len(there) else 0.0 for there in families)
+def _alike(one: Paving, other: Paving) -> bool:
+    """Whether two lattices may be the same one, though by a wrong camera they do not go on as such."""
+    sides = [
+        np.sort([p.grid.spacing_x or np.inf, p.grid.spacing_y]) / p.fit.cam_from_ground.origin_in_a[2]
+        for p in (one, other)
+    ]
+    shifts = abs(one.grid.shift - other.grid.shift) < SAME_SHIFT
+    return shifts and np.allclose(*sides, rtol=SAME_SPACING)
 
 
 def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
