@@ -19,16 +19,20 @@ from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.points import inside_convex, lengths, on_ground, project_ground
 from autoreg.ground.sight import Sight, see
-from autoreg.paving.lattice_choice import Paving, has_ratio, presented
+from autoreg.paving.lattice_choice import Paving, alike, has_ratio, presented
 from autoreg.paving.lay import refine_in_field
 from autoreg.paving.presence import presence_of
 from autoreg.search import find_on
 
-# Edges beside a field, up to so many camera heights away, tell of another one where those square to each
-# other within an angle are so many times as long as those in it, and where no direction has less than a share
-# of them: those of houses have next to nothing that is square to them on the ground. Where the slabs of the
-# field are not those that are looked for, less is enough.
-REACH, SQUARE_RAD, BESIDE, BESIDE_UNSUITED, BOTH = 12.0, np.radians(3.0), 0.35, 0.1, 0.05
+# Edges up to so many camera heights away are looked at. Those that are square to each other within an angle
+# tell of another field.
+REACH, SQUARE_RAD = 12.0, np.radians(3.0)
+# They are so many times as long as those in the field that is known; where its slabs are not those that are
+# looked for, less is enough.
+BESIDE, BESIDE_UNSUITED = 0.35, 0.1
+# No direction has less than this share of them: those of houses have next to nothing that is square to them
+# on the ground.
+BOTH = 0.05
 # Bins of the angles of edges, up to quarter turns.
 ANGLES = 45
 # The rest of a photo is the box that holds all but this share of the edges beside the field at each end.
@@ -39,7 +43,7 @@ LEAST_PX = 150
 SAME_GROUND_RAD = np.radians(2.0)
 # Two lattices whose spacings are nearer to each other than this share, and whose shifts are about the same,
 # may be one: by a camera that is off by a fifth they change by as much from one part of it to another.
-SAME_SPACING, SAME_SHIFT = 0.2, 0.05
+ALIKE = 0.2
 # All the sides of a field, so that its extent is told.
 ALL_SIDES = 6000
 # Steps along each side of a field's outline, which a lens bends, and what paint is mixed from: a picture of
@@ -60,24 +64,25 @@ def largest_field(
         camera: the photo's camera.
         slab: sides of a slab in either order, if known.
     """
-    suits = slab is None or has_ratio(found.grid, slab)
+    suits = _suits(found, slab)
     covered = _Covered(found.fit.cam_from_ground, found.presence.field)
     part = _part_beside(sight, camera, covered, BESIDE if suits else BESIDE_UNSUITED)
     other = None if part is None else _found_in(sight, camera, covered, part)
-    if other is None or _alike(found, other):
+    if other is None or alike(found, other, ALIKE):
         return found
     whole = _in_whole(sight, camera, other)
     if whole is None or not _same_ground(found.fit, whole.fit):
         return found
-    return _preferred(sight, found, whole, slab)
+    if _suits(whole, slab) != suits:
+        return found if suits else whole
+    assert whole.within is not None
+    larger = _area(whole.fit, whole.within) > _area(found.fit, _whole_field(sight, found.fit))
+    return whole if larger else found
 
 
-def _preferred(sight: Sight, found: Paving, other: Paving, slab: tuple[float, float] | None) -> Paving:
-    """The one of two fields whose slabs are those that are known, or else the larger one."""
-    suited = [slab is None or has_ratio(paving.grid, slab) for paving in (found, other)]
-    if suited[0] != suited[1]:
-        return found if suited[0] else other
-    return max(found, other, key=lambda paving: _size(sight, paving.fit))
+def _suits(paving: Paving, slab: tuple[float, float] | None) -> bool:
+    """Whether a lattice may be one of the slabs that are known, or of any where none are."""
+    return slab is None or has_ratio(paving.grid, slab)
 
 
 @dataclass(frozen=True)
@@ -91,7 +96,7 @@ class _Covered:
         """Which pixels show a place in it, or beside it by little."""
         ground = on_ground(px, camera, self.cam_from_ground)
         margin = 0.02 * float(np.ptp(self.field, axis=0).max())
-        return inside_convex(ground, self.field, margin) & np.isfinite(ground).all(-1)
+        return inside_convex(ground, self.field, margin)
 
     def outline_px(self, camera: Camera) -> Int[np.ndarray, "n 2"]:
         """Its outline in the picture."""
@@ -104,7 +109,7 @@ class _Covered:
 
 @dataclass(frozen=True)
 class _Part:
-    """A part of a photo in whole pixels, and how its joints lie: a cam_from_ground rotation along them."""
+    """A part of a photo in whole pixels; X and Y of the cam_from_ground rotation `R` run along its joints."""
 
     left: int
     top: int
@@ -121,10 +126,9 @@ def _part_beside(sight: Sight, camera: Camera, covered: _Covered, least: float) 
     ends, size_px = sight.segments.ends_px, sight.segments.length_px
     inside = covered.holds(ends.mean(1), camera)
     pose = covered.cam_from_ground
-    ground = on_ground(ends.reshape(-1, 2), camera, pose).reshape(-1, 2, 2)
+    ground = on_ground(ends, camera, pose)
     foot = pose.origin_in_a
-    with np.errstate(invalid="ignore"):
-        near = lengths(ground.mean(1) - foot[:2]) < REACH * foot[2]
+    near = lengths(ground.mean(1) - foot[:2]) < REACH * foot[2]
     others = np.flatnonzero(near & ~inside)
     turn, along, across = _square(ground[others], size_px[others])
     length = [float(size_px[others[rows]].sum()) for rows in (along, across)]
@@ -151,12 +155,8 @@ def _square(
     common = float(np.argmax(counts + np.roll(counts, 1)) * (0.5 * np.pi / ANGLES))
     off = np.mod(angle - common + np.pi / 4.0, np.pi) - np.pi / 4.0
     along, across = np.abs(off) < SQUARE_RAD, np.abs(off - np.pi / 2.0) < SQUARE_RAD
-    near = np.where(along, off, off - np.pi / 2.0)[along | across]
-    return (
-        common + float(near @ weight[along | across] / max(weight[along | across].sum(), 1e-9)),
-        along,
-        across,
-    )
+    lean, weight = np.where(along, off, off - np.pi / 2.0), weight * (along | across)
+    return common + float(lean @ weight / max(weight.sum(), 1e-9)), along, across
 
 
 def _span(at: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], limit: int) -> tuple[int, int]:
@@ -179,7 +179,7 @@ def _painted(gray: UInt8[np.ndarray, "h w"], camera: Camera, covered: _Covered) 
     reach = PAINT_REACH * max(small.shape)
     paint, amount = (cv2.GaussianBlur(each, (0, 0), reach) for each in (small, share))
     tone = cv2.resize(paint / np.maximum(amount, 1e-3), (camera.width, camera.height))
-    return np.where(left > 0.0, gray, np.clip(tone, 0.0, 255.0)).astype(np.uint8)
+    return np.where(left > 0.0, gray, tone).astype(np.uint8)
 
 
 def _found_in(sight: Sight, camera: Camera, covered: _Covered, part: _Part) -> Paving | None:
@@ -193,16 +193,6 @@ def _same_ground(one: Fit, other: Fit) -> bool:
     """Whether two fields may lie on the same ground, as the camera sees it."""
     up = float(one.cam_from_ground.R[:, 2] @ other.cam_from_ground.R[:, 2])
     return bool(up > np.cos(SAME_GROUND_RAD))
-
-
-def _alike(one: Paving, other: Paving) -> bool:
-    """Whether two lattices may be the same one, though by a wrong camera they do not go on as such."""
-    sides = [
-        np.sort([p.grid.spacing_x or np.inf, p.grid.spacing_y]) / p.fit.cam_from_ground.origin_in_a[2]
-        for p in (one, other)
-    ]
-    shifts = abs(one.grid.shift - other.grid.shift) < SAME_SHIFT
-    return shifts and np.allclose(*sides, rtol=SAME_SPACING)
 
 
 def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
@@ -219,8 +209,7 @@ def _whole_field(sight: Sight, fit: Fit) -> Float[np.ndarray, "k 2"]:
     return presence_of(sight.looks.picture, fit, limit=ALL_SIDES).field
 
 
-def _size(sight: Sight, fit: Fit) -> float:
+def _area(fit: Fit, field: Float[np.ndarray, "k 2"]) -> float:
     """The area of a lattice's field, in squares of the camera's height."""
-    x, y = _whole_field(sight, fit).T
-    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    return area / float(fit.cam_from_ground.origin_in_a[2]) ** 2
+    heights = field / fit.cam_from_ground.origin_in_a[2]
+    return float(cv2.contourArea(heights.astype(np.float32)))

@@ -122,11 +122,10 @@ def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving
     """
     free, looks, segments = Free(ratio=True), sight.looks, sight.segments
     found = _at_a_glance(looks, segments, [(camera, R)], free)
-    if found is not None and found.plain:
-        return found
-    planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
-    pavings = lay_lattice(looks, planes[0], free) if planes else ()
-    return next((paving for paving in pavings[:1] if paving.plain), None)
+    if found is None or not found.plain:
+        planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
+        found = next((paving for plane in planes for paving in lay_lattice(looks, plane, free)), None)
+    return found if found is not None and found.plain else None
 
 
 def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:

@@ -69,11 +69,12 @@ def test_the_larger_field_beyond_it_is_taken(two_fields: np.ndarray) -> None:
     assert largest.grid.shift == pytest.approx(1 / 3, abs=0.01)
 
 
-def test_of_two_fields_that_with_the_known_slabs_is_taken(two_fields: np.ndarray) -> None:
-    # Squares by no field: the ratio of both is two.
+def test_of_two_fields_that_with_the_known_slabs_is_taken() -> None:
     sight, found = found_in(beside(replace(NEAR, spacing_m=(0.15, 0.1)), FAR, 2.4))
     assert largest_field(sight, found, CAMERA, (0.15, 0.1)) is found
-    assert largest_field(sight, found, CAMERA, (0.6, 0.3)) is not found
+    other = largest_field(sight, found, CAMERA, (0.6, 0.3))
+    assert other is not found
+    assert sides_in_heights(other) == pytest.approx([0.6 / 1.7, 0.3 / 1.7], rel=0.02)
 
 
 def test_a_field_of_one_lattice_stays_as_it_is() -> None:

@@ -37,7 +37,7 @@ def inner_share(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -
         return 0.0
     ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
     middle = ground.mean(1)
-    inside = np.isfinite(middle).all(1) & inside_convex(middle, field, 0.0)
+    inside = inside_convex(middle, field, 0.0)
     ground, middle, length = ground[inside], middle[inside], segments.length_px[inside]
     x, y = (ground[:, 1] - ground[:, 0]).T
     lean, steep = np.arctan2(y, x), np.sin(ALONG_RAD)

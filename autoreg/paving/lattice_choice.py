@@ -30,8 +30,9 @@ RATIO_TOLERANCE = 0.08
 # the other family carries less than the second: it did in 200 of 340 that led nowhere, but also in one of 180
 # that led to a lattice, of which the start had every second joint, or something beside it.
 HOPEFUL_NATS, LEAST_HOPEFUL_NATS = 3.0, 0.0
-# A lattice this close to the best one is as good an answer.
-RIVAL_NATS = 3.0
+# A lattice this close to the best one is as good an answer, and another one if its spacings or its shift
+# differ by more than these.
+RIVAL_NATS, SAME_SPACING, SAME_SHIFT = 3.0, 0.05, 0.05
 # How much better a finer lattice must explain the sides between the joints.
 SUBDIVIDE_NATS = 6.0
 # How much better than a lattice a pattern of its absent sides must explain them to speak against it.
@@ -51,6 +52,7 @@ class Paving:
 
     `evidence_nats` is the logarithm of the likelihood ratio of this lattice to chance, for the sides along X
     and along Y, unpenalised. `closer` are the sides of a small field, where it was looked at by itself.
+    `within` is the convex part of the ground, in the fit's frame, whose sides alone count; None for all.
     """
 
     fit: Fit
@@ -89,15 +91,20 @@ class Paving:
 def rival(pavings: tuple[Paving, ...]) -> Paving | None:
     """The first of the pavings whose lattice differs from the best one's and explains the picture as well."""
     best = pavings[0]
-    mine = _sides_in_heights(best)
     for other in pavings[1:]:
         if other.margin_nats < max(0.0, best.margin_nats - RIVAL_NATS):
             break
-        theirs = _sides_in_heights(other)
-        turn = abs(other.grid.shift - best.grid.shift)
-        if not np.allclose(mine, theirs, rtol=0.05) or 0.05 < turn < 0.95:
+        if not alike(best, other, SAME_SPACING):
             return other
     return None
+
+
+def alike(one: Paving, other: Paving, spacing: float) -> bool:
+    """Whether two lattices have about the same shift, and the same spacings to so large a share of them."""
+    apart = abs(other.grid.shift - one.grid.shift)
+    if SAME_SHIFT < apart < 1.0 - SAME_SHIFT:
+        return False
+    return np.allclose(_sides_in_heights(one), _sides_in_heights(other), rtol=spacing)
 
 
 def _sides_in_heights(paving: Paving) -> list[float]:
@@ -205,7 +212,10 @@ def presented(
     *,
     within: Float[np.ndarray, "k 2"] | None = None,
 ) -> Paving | None:
-    """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do."""
+    """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do.
+
+    Where a convex part of the ground is given, in the fit's frame, the sides `within` it alone.
+    """
     presence = presence or presence_of(picture, fit, field=within)
     if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
         return None

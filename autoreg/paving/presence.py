@@ -31,9 +31,10 @@ from autoreg.joints.profiles import sample_profiles
 # each, so that the p-values are fine enough.
 CONTROL_RANGE = (0.25, 0.75)
 CONTROLS_WANTED, CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 1500, 48, 3
-# Slabs that look smaller than this tell nothing. A joint may lie so far from where it is predicted; so many
-# samples are taken along it.
-LEAST_SIDE_PX, TOLERANCE_PX, ALONG_SAMPLES = 8.0, 1.5, 10
+# Slabs that look smaller than this tell nothing.
+LEAST_SIDE_PX = 8.0
+# How far a joint may lie from where it is predicted, and samples along each side.
+TOLERANCE_PX, ALONG_SAMPLES = 1.5, 10
 # How sharply the p-values of visible sides gather at zero, and shares of true sides that cannot be seen
 # (worn, overgrown, far, covered): the share that suits a photo best is taken.
 SHARPNESS = 0.2
@@ -261,7 +262,10 @@ def presence_of(
     field: Float[np.ndarray, "k 2"] | None = None,
     controls_wanted: int = CONTROLS_WANTED,
 ) -> Presence:
-    """How well each visible side of a fit's lattice is supported by the picture of its camera."""
+    """How well each visible side of a fit's lattice is supported by the picture of its camera.
+
+    Of the one family, and within the part of the ground, that `side_presence` takes.
+    """
     return side_presence(
         picture,
         fit.camera,

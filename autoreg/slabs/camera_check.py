@@ -116,9 +116,10 @@ def check_camera(
                 and both.scatter.aside * px > EVEN_PX
             )
             met = fit.missed > MISSED and freed.missed < FEWER * fit.missed
-            # Of fewer joints a free camera makes what it likes.
-            rough, was = freed.roughness_px, fit.roughness_px * min(1.0, freed.met / max(1, fit.met))
-            if (met and rough < ROUGHER * was) or (evener and rough < SMOOTHER * was):
+            # The fewer joints it meets the smoother they must lie: few suit any camera.
+            asked_px = fit.roughness_px * min(1.0, freed.met / max(1, fit.met))
+            rough = freed.roughness_px
+            if (met and rough < ROUGHER * asked_px) or (evener and rough < SMOOTHER * asked_px):
                 fit, both, chi_square, shift = tried[-1]
             # A camera that is wrong is worth the time to find the right one.
             if both.scatter.aside < 0.5 * before and chi_square < CONTRADICTION:
