@@ -76,8 +76,8 @@ def largest_field(
     if _suits(whole, slab) != suits:
         return found if suits else whole
     assert whole.within is not None
-    larger = _area(whole.fit, whole.within) > _area(found.fit, _whole_field(sight, found.fit))
-    return whole if larger else found
+    known = presence_of(sight.looks.picture, found.fit, limit=ALL_SIDES).field
+    return whole if _area(whole.fit, whole.within) > _area(found.fit, known) else found
 
 
 def _suits(paving: Paving, slab: tuple[float, float] | None) -> bool:
@@ -200,13 +200,10 @@ def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
     picture = sight.looks.picture
     seen = replace(other.fit, camera=camera.scaled(picture.shape[1], picture.shape[0]))
     fit = refine_in_field(picture, seen, other.presence.field)
-    whole = presented(picture, fit, within=_whole_field(sight, fit))
+    presence = presence_of(picture, fit, limit=ALL_SIDES)
+    # A part may be seen many times as finely as the whole, which shows nothing of its slabs then.
+    whole = presented(picture, fit, within=presence.field) if len(presence.p) else None
     return None if whole is None or whole.margin_nats <= 0 else whole
-
-
-def _whole_field(sight: Sight, fit: Fit) -> Float[np.ndarray, "k 2"]:
-    """The field of all sides of a lattice, however small they are seen."""
-    return presence_of(sight.looks.picture, fit, limit=ALL_SIDES).field
 
 
 def _area(fit: Fit, field: Float[np.ndarray, "k 2"]) -> float:

@@ -77,6 +77,26 @@ def test_of_two_fields_that_with_the_known_slabs_is_taken() -> None:
     assert sides_in_heights(other) == pytest.approx([0.6 / 1.7, 0.3 / 1.7], rel=0.02)
 
 
+def test_a_field_too_fine_for_the_whole_photo_is_no_other_one(
+    two_fields: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sight, found = found_in(two_fields)
+    grid = found.grid
+    assert grid.spacing_x is not None
+    fine = replace(
+        found.fit, grid=replace(grid, spacing_x=grid.spacing_x / 40, spacing_y=grid.spacing_y / 40)
+    )
+    looked = []
+
+    def tiny(*asked: object) -> Paving:
+        looked.append(asked)
+        return replace(found, fit=fine)
+
+    monkeypatch.setattr("autoreg.fields._found_in", tiny)
+    assert largest_field(sight, found, CAMERA) is found
+    assert looked
+
+
 def test_a_field_of_one_lattice_stays_as_it_is() -> None:
     sight, found = found_in(beside(NEAR, NEAR, 2.4))
     assert largest_field(sight, found, CAMERA) is found
