@@ -153,15 +153,37 @@ def _laid(
     source: CameraSource,
     slab: tuple[float, float] | None,
 ) -> Laid:
-    """The paving, measured at the photo's own resolution.
+    """The paving, measured at the photo's own resolution: of two fields, the larger one that can be measured.
 
     Raises:
         Refusal: there is none, or it cannot be one of slabs on the ground.
     """
-    height, width = picture.shape
     found = _found(sight, camera, slab)
     if camera is not None and isinstance(found, Paving):
-        found = largest_field(sight, found, camera, slab)
+        larger = largest_field(sight, found, camera, slab)
+        if larger is not found:
+            try:
+                return _laid_where(sight, picture, larger, camera, source, slab)
+            except Refusal as refusal:
+                if refusal.code == "camera_contradicted":
+                    raise
+    return _laid_where(sight, picture, found, camera, source, slab)
+
+
+def _laid_where(
+    sight: Sight,
+    picture: np.ndarray,
+    found: Paving | Rows,
+    camera: Camera | None,
+    source: CameraSource,
+    slab: tuple[float, float] | None,
+) -> Laid:
+    """What was found at detection scale, measured at the photo's own resolution.
+
+    Raises:
+        Refusal: it vanishes there, or cannot be one of slabs on the ground.
+    """
+    height, width = picture.shape
     given = camera if source == "file" else None
     free = _freedom(camera, source, slab, width, height)
     try:

@@ -3,7 +3,7 @@
 What is plainest to see in a photo, mostly what is nearest, is found first. Where many edges beside it run
 square to each other as well, the field is painted over and the rest of the photo looked at as a photo of its
 own. What is found there by the same camera on the same ground is another field, and the answer if it is
-larger, or if its slabs are those that were asked for.
+larger as far as the slabs of both can be seen, or if its slabs are those that were asked for.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.points import inside_convex, lengths, on_ground, project_ground
+from autoreg.ground.sides import visible_sides
 from autoreg.ground.sight import Sight, see
 from autoreg.paving.lattice_choice import Paving, alike, has_ratio, presented
 from autoreg.paving.lay import refine_in_field
-from autoreg.paving.presence import presence_of
+from autoreg.paving.presence import LEAST_SIDE_PX, presence_of
 from autoreg.search import find_on
+from autoreg.segments import Segments
 
 # Edges up to so many camera heights away are looked at. Those that are square to each other within an angle
 # tell of another field.
@@ -66,7 +68,7 @@ def largest_field(
     """
     suits = _suits(found, slab)
     covered = _Covered(found.fit.cam_from_ground, found.presence.field)
-    part = _part_beside(sight, camera, covered, BESIDE if suits else BESIDE_UNSUITED)
+    part = _part_beside(sight.segments, camera, covered, BESIDE if suits else BESIDE_UNSUITED)
     other = None if part is None else _found_in(sight, camera, covered, part)
     if other is None or alike(found, other, ALIKE):
         return found
@@ -77,7 +79,8 @@ def largest_field(
         return found if suits else whole
     assert whole.within is not None
     known = presence_of(sight.looks.picture, found.fit, limit=ALL_SIDES).field
-    return whole if _area(whole.fit, whole.within) > _area(found.fit, known) else found
+    seen = min(_sight_of(found.fit), _sight_of(whole.fit))
+    return whole if _area(whole.fit, whole.within, seen) > _area(found.fit, known, seen) else found
 
 
 def _suits(paving: Paving, slab: tuple[float, float] | None) -> bool:
@@ -118,12 +121,12 @@ class _Part:
     R: Float[np.ndarray, "3 3"]
 
 
-def _part_beside(sight: Sight, camera: Camera, covered: _Covered, least: float) -> _Part | None:
+def _part_beside(segments: Segments, camera: Camera, covered: _Covered, least: float) -> _Part | None:
     """Where edges beside a known field, square to each other on its ground, fill a part of the photo.
 
     None if they are less than a share of those in the field, or hardly any are square to the others.
     """
-    ends, size_px = sight.segments.ends_px, sight.segments.length_px
+    ends, size_px = segments.ends_px, segments.length_px
     inside = covered.holds(ends.mean(1), camera)
     pose = covered.cam_from_ground
     ground = on_ground(ends, camera, pose)
@@ -198,15 +201,33 @@ def _same_ground(one: Fit, other: Fit) -> bool:
 def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
     """A field that was found in a part of the photo, as the whole photo shows it at detection scale."""
     picture = sight.looks.picture
-    seen = replace(other.fit, camera=camera.scaled(picture.shape[1], picture.shape[0]))
-    fit = refine_in_field(picture, seen, other.presence.field)
+    own = camera.scaled(picture.shape[1], picture.shape[0])
+    # In the part, a pixel may stand for less.
+    smear_x, smear_y = (px * own.fx / other.fit.camera.fx for px in other.fit.strip.smear_px)
+    strip = replace(other.fit.strip, smear_px=(smear_x, smear_y))
+    fit = refine_in_field(picture, replace(other.fit, camera=own, strip=strip), other.presence.field)
     presence = presence_of(picture, fit, limit=ALL_SIDES)
     # A part may be seen many times as finely as the whole, which shows nothing of its slabs then.
     whole = presented(picture, fit, within=presence.field) if len(presence.p) else None
     return None if whole is None or whole.margin_nats <= 0 else whole
 
 
-def _area(fit: Fit, field: Float[np.ndarray, "k 2"]) -> float:
-    """The area of a lattice's field, in squares of the camera's height."""
-    heights = field / fit.cam_from_ground.origin_in_a[2]
-    return float(cv2.contourArea(heights.astype(np.float32)))
+def _sight_of(fit: Fit) -> float:
+    """How many camera heights away the picture still shows single slabs of a lattice."""
+    sides = visible_sides(
+        fit.camera, fit.cam_from_ground, fit.grid, reach=REACH, min_px=LEAST_SIDE_PX, limit=ALL_SIDES
+    )
+    foot = fit.cam_from_ground.origin_in_a
+    return float(lengths(sides.middle - foot[:2]).max(initial=0.0) / foot[2])
+
+
+def _area(fit: Fit, field: Float[np.ndarray, "k 2"], reach: float) -> float:
+    """The area of a field, in squares of the camera's height, up to so many heights from its foot.
+
+    Fine slabs are seen less far than coarse ones: beyond, nothing tells how far they go on.
+    """
+    foot = fit.cam_from_ground.origin_in_a
+    around = np.linspace(0.0, 2.0 * np.pi, OUTLINE_STEPS, endpoint=False)
+    near = reach * np.stack([np.cos(around), np.sin(around)], 1)
+    heights = (field - foot[:2]) / foot[2]
+    return float(cv2.intersectConvexConvex(heights.astype(np.float32), near.astype(np.float32))[0])

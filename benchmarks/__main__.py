@@ -46,6 +46,9 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument("--again", action="store_true", help="run nothing, report the results in DIR")
     made.add_argument("--seeds", type=int, help="so many seeds instead of a suite's own number")
+    made.add_argument(
+        "--jobs", type=int, default=plain.jobs, help="processes for limit, truth, robust and variants"
+    )
     for name in DATA:
         made.add_argument(f"--{name}", type=Path, default=getattr(plain, name), metavar="DIR", help="data")
     return made
@@ -55,11 +58,14 @@ def main(words: Sequence[str] | None = None, console: Console | None = None) -> 
     """Run what was asked for; the exit code."""
     asked = parser().parse_args(words)
     console = console or Console(soft_wrap=False)
-    options = Options(asked.out, asked.quick, asked.seeds, **{name: getattr(asked, name) for name in DATA})
+    data = {name: getattr(asked, name) for name in DATA}
+    options = Options(asked.out, asked.quick, asked.seeds, asked.jobs, **data)
     try:
         names = chosen(asked.only, quick=asked.quick)
         if asked.seeds is not None and asked.seeds < 2:
             raise UnknownSuite(f"--seeds wants at least 2, got {asked.seeds}")
+        if asked.jobs < 1:
+            raise UnknownSuite(f"--jobs wants at least 1, got {asked.jobs}")
     except UnknownSuite as error:
         print(f"error: {error}", file=sys.stderr)
         return BAD_USAGE

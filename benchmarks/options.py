@@ -18,6 +18,7 @@ class Options:
         quick: the short run of continuous integration.
         out: folder of results; pictures that a suite needs are kept there too, and not made again.
         seeds: so many seeds where a suite draws noise, instead of its own number.
+        jobs: so many processes for the suites of many photos; it changes no figure.
         yorkurban: folder of the York Urban pictures and `ground_truth.json`.
         photos: folder of real photos, with `paved/` and `refuse/`.
         scenes: folder of ray-traced scenes, as `benchmarks/scenes.py` writes them.
@@ -28,6 +29,7 @@ class Options:
     out: Path
     quick: bool = False
     seeds: int | None = None
+    jobs: int = 1
     yorkurban: Path = SHARED / "yorkurban"
     photos: Path = SHARED / "photos"
     scenes: Path = SHARED / "scenes"

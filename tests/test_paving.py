@@ -13,8 +13,9 @@ from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides, visible_sides
 from autoreg.ground.sight import looks_at
 from autoreg.joints.joint_looks import Strip
-from autoreg.paving.lattice_choice import Paving, rival, same_lattice, settle_bond, with_pattern
+from autoreg.paving.lattice_choice import Paving, carry, rival, same_lattice, settle_bond, with_pattern
 from autoreg.paving.lay import fills, lay_lattice, refine_in_field
+from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern
 from autoreg.paving.plane_combs import comb_planes
 from autoreg.paving.presence import field_polygon, presence_of
@@ -107,8 +108,18 @@ def test_a_lattice_of_which_every_side_is_there_stays(stack_fit: Fit):
         ("stack", Grid(0.3, 0.2)),
         ("stack", Grid(1.2, 0.4)),
         ("half", Grid(0.3, 0.3)),
+        ("half", Grid(0.6, 0.3)),
+        ("half", Grid(1.8, 0.3, 0.5)),
     ],
-    ids=["half columns", "half rows", "both halved", "double columns", "bond read as a stack"],
+    ids=[
+        "half columns",
+        "half rows",
+        "both halved",
+        "double columns",
+        "bond read as a stack",
+        "bond read as every other row",
+        "treble columns",
+    ],
 )
 def test_too_fine_and_too_coarse_lattices_settle_on_the_one_that_is_there(
     name: str, start: Grid, request: pytest.FixtureRequest
@@ -123,6 +134,22 @@ def test_too_fine_and_too_coarse_lattices_settle_on_the_one_that_is_there(
     angle_deg, crossing_px = misses(settled.fit.cam_from_ground, spacing_of(settled.fit), photo)
     assert angle_deg < 0.01
     assert crossing_px < 0.1
+
+
+@pytest.mark.parametrize("shift", [0.0, 1 / 4, 1 / 3, 1 / 2, 2 / 3, 0.72])
+@pytest.mark.parametrize("factor", [2, 3])
+def test_the_columns_of_a_lattice_are_found_again_among_so_many_times_as_many(
+    stack_fit: Fit, shift: float, factor: int
+):
+    coarse = replace(stack_fit, grid=Grid(0.6, 0.3, shift))
+    fine = divided(coarse, ALONG_Y, factor)
+    assert fine is not None
+    sides = slab_sides(fine.grid, np.full(2, -2.0), np.full(2, 2.0))
+    sides = sides.take(np.flatnonzero(sides.family == ALONG_Y))
+    old = (sides.line - sides.cell * carry(coarse.grid, factor)) % factor == 0
+    middle = sides.middle
+    column = middle[:, 0] / 0.6 - np.floor(middle[:, 1] / 0.3) * shift
+    assert (old == (np.abs(column - np.round(column)) < 1e-6)).all()
 
 
 @pytest.mark.parametrize(("share", "darker"), [(0.4, 4.0), (0.55, 12.0), (0.7, 30.0)])

@@ -251,18 +251,21 @@ def _finer(picture: Float[np.ndarray, "h w"], fit: Fit, factor: int, family: int
         picture, fine, limit=SUBDIVIDE_SIDES, only=family, controls_wanted=SUBDIVIDE_CONTROLS
     )
     best = best_pattern(presence, family)
-    same = (factor, _carry(fit.grid, factor), 0)
+    same = (factor, carry(fit.grid, factor), 0)
     known = next(p for p in best if (p.period, p.advance, p.phase) == same)
-    if best[0].score - known.score <= SUBDIVIDE_NATS or outstanding(presence, family) is not None:
+    if best[0].score - known.score <= SUBDIVIDE_NATS:
+        return None
+    stronger = outstanding(presence, family)
+    if stronger is not None and not stronger.same_sides(best[0]):
         return None
     whole = Pattern(1, 0, 0, 0.0)
     x, y = (best[0], whole) if family == ALONG_X else (whole, best[0])
     return with_pattern(fine, x, y) or fine
 
 
-def _carry(grid: Grid, factor: int) -> int:
+def carry(grid: Grid, factor: int) -> int:
     """How the columns of a lattice advance from row to row in the same lattice with finer columns."""
-    return -int(np.floor(grid.shift * factor)) % factor if grid.shift else 0
+    return int(np.floor(grid.shift * factor)) % factor
 
 
 def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:

@@ -145,14 +145,15 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: b
     if fit is None:
         return None
     presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES)
-    if start.field is not None and len(presence.p) == GLANCE_SIDES and not hopeful(presence, both=both):
+    whole = len(presence.p) < GLANCE_SIDES
+    if start.field is not None and not whole and not hopeful(presence, both=both):
         # A small field afar may have none of the sides that are largest in the picture.
         presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES, field=start.field)
     if len(presence.p) < 6 or not hopeful(presence, both=both):
         return None
     field = field_polygon(presence)
     if fills(fit, field):
-        laid = settle_bond(looks.picture, fit, presence if len(presence.p) < GLANCE_SIDES else None)
+        laid = settle_bond(looks.picture, fit, presence if whole else None)
     else:
         laid = settle_bond(looks.picture, refine_in_field(looks.picture, fit, field))
     return None if laid is None else of_single_slabs(looks.picture, laid)

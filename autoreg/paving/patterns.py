@@ -38,6 +38,11 @@ class Pattern:
     phase: int
     score: float
 
+    def same_sides(self, other: Pattern) -> bool:
+        """Whether both are of the same sides."""
+        mine, theirs = ((p.period, p.advance, p.phase) for p in (self, other))
+        return mine == theirs
+
 
 def best_pattern(
     presence: Presence, family: int, periods: tuple[int, ...] = (1, 2, 3, 4, 5, 6)

@@ -39,6 +39,9 @@ FEWER, ROUGHER, EVENER, SMOOTHER = 0.5, 1.1, 0.8, 0.95
 CLEARLY_SIGMAS = 2.0
 # Its lines must tell so many more numbers, two each, than a free camera has parameters, lest it suit any.
 SPARE_NUMBERS = 6
+# A photo whose middle lies this many focal lengths off the axis (60 degrees) is none that a lens draws: those
+# cropped from very wide ones come to 50 degrees. A free camera that bent joints drive there tells nothing.
+MOST_OFF_AXIS = 1.73
 # Slabs that scatter by less, in pixels, are even.
 EVEN_PX = 0.02
 
@@ -47,11 +50,12 @@ EVEN_PX = 0.02
 class CameraCheck:
     """What the joints say about the camera.
 
-    The shifts are of the joints' own camera from the given one: logarithm of the focal length, pixels, and
-    the first radial coefficient.
+    `consistent` is None where the joints do not contradict the camera, but do not vouch for it either. The
+    shifts are of the joints' own camera from the given one: logarithm of the focal length, pixels, and the
+    first radial coefficient.
     """
 
-    consistent: bool
+    consistent: bool | None
     focal_px: float
     focal_sigma_px: float
     focal_shift: float
@@ -100,11 +104,13 @@ def check_camera(
     both, chi_square, shift, odd = asked(search=scatter is None or picture is None)
     if picture is not None and scatter is not None and (odd or chi_square > CALM):
         both, chi_square, shift, odd = asked(search=True)
-    doubted = odd or chi_square > DOUBT
+    doubted, unsure = odd or chi_square > DOUBT, False
     if picture is not None and doubted and _enough_lines(fit, free):
         before, tried = both.scatter.aside, list[_Told]()
         usual = replace(fit, grid=replace(fit.grid, shift=customary))
         for freed in _fits_with_free_camera(usual, picture, field):
+            if _off_axis(freed) > MOST_OFF_AXIS:
+                continue
             motion = estimate_motion(
                 freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW, widths=False
             )
@@ -116,11 +122,13 @@ def check_camera(
                 and both.scatter.aside * px > EVEN_PX
             )
             met = fit.missed > MISSED and freed.missed < FEWER * fit.missed
+            limit = max(ROUGHER * met, SMOOTHER * evener)
             # The fewer joints it meets the smoother they must lie: few suit any camera.
-            asked_px = fit.roughness_px * min(1.0, freed.met / max(1, fit.met))
-            rough = freed.roughness_px
-            if (met and rough < ROUGHER * asked_px) or (evener and rough < SMOOTHER * asked_px):
+            fewer = min(1.0, freed.met / max(1, fit.met))
+            if freed.roughness_px < limit * fewer * fit.roughness_px:
                 fit, both, chi_square, shift = tried[-1]
+            elif freed.roughness_px < limit * fit.roughness_px:
+                unsure |= tried[-1].chi_square >= CONTRADICTION
             # A camera that is wrong is worth the time to find the right one.
             if both.scatter.aside < 0.5 * before and chi_square < CONTRADICTION:
                 break
@@ -133,10 +141,17 @@ def check_camera(
     centre = np.array([given.camera.cx - fit.camera.cx, given.camera.cy - fit.camera.cy])
     log_focal, sigma = _focal_alone(both, given.free, centre)
     focal = fit.camera.fx * float(np.exp(log_focal))
-    consistent = chi_square < CONTRADICTION
+    consistent = (None if unsure and fit is given else True) if chi_square < CONTRADICTION else False
     return CameraCheck(
         consistent, focal, focal * sigma, float(shift[0]), shift[1:3], float(shift[3]), chi_square
     )
+
+
+def _off_axis(fit: Fit) -> float:
+    """How far the middle of the picture lies from a camera's principal point, in focal lengths."""
+    camera = fit.camera
+    off = np.array([camera.cx - 0.5 * (camera.width - 1), camera.cy - 0.5 * (camera.height - 1)])
+    return float(np.hypot(*(off / [camera.fx, camera.fy])))
 
 
 def _enough_lines(fit: Fit, free: Free) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -14,6 +15,7 @@ from benchmarks.bound import NAMES, cramer_rao
 from benchmarks.last_stage import crossings_error_px, crossings_of, finish, grid_of, nudged, pose_error
 from benchmarks.metrics import Figure
 from benchmarks.options import Options
+from benchmarks.parallel import measured
 from benchmarks.result import Plot, Result, Series, Table
 
 # The start of every fit: off by so many degrees and such a share of the camera's height.
@@ -137,7 +139,7 @@ def _finished(photo: np.ndarray, scene: SyntheticScene, start: Rigid) -> Rigid |
 def run(options: Options) -> Result:
     """Every case of the grid."""
     seeds = options.count(10, 200)
-    found = [examine(case, seeds) for case in cases(quick=options.quick)]
+    found = measured(partial(examine, seeds=seeds), cases(quick=options.quick), options.jobs)
     usable = [f for f in found if np.isfinite(f.ratio).all()]
     moderate = [f for f in usable if f.case.moderate]
     tried = seeds * len(found)

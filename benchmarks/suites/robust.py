@@ -22,6 +22,7 @@ from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from benchmarks.last_stage import crossings_of
 from benchmarks.metrics import Figure
 from benchmarks.options import Options
+from benchmarks.parallel import measured
 from benchmarks.result import Plot, Result, Series, Table
 
 Became = Literal["success", "refused", "wrong", "told"]
@@ -196,6 +197,15 @@ def judge(photo: Photo) -> Became:
     return "told" if found.camera.consistent is False else "wrong"
 
 
+def _axis(name: str) -> Axis:
+    return next(axis for axis in AXES if axis.name == name)
+
+
+def _became(asked: tuple[str, float, int, tuple[int, int]]) -> Became:
+    name, value, seed, size = asked
+    return judge(take(_axis(name), value, seed, size))
+
+
 def within(found: Alignment, scene: SyntheticScene) -> bool:
     """Whether an alignment is the true one up to the lattice's symmetry."""
     pose, true = found.pose.cam_from_ground, scene.cam_from_ground
@@ -225,12 +235,13 @@ def run(options: Options) -> Result:
     seeds = options.count(1, 5)
     size = (640, 480) if options.quick else (1024, 768)
     axes = [replace(axis, values=axis.values[1:4:2]) for axis in AXES[1:5]] if options.quick else AXES
+    asked = [(axis.name, value) for axis in axes for value in axis.values]
+    photos = [(name, value, seed, size) for name, value in asked for seed in range(1, seeds + 1)]
+    every = measured(_became, photos, options.jobs)
     points = [
-        Point(axis, value, tuple(judge(take(axis, value, seed, size)) for seed in range(1, seeds + 1)))
-        for axis in axes
-        for value in axis.values
+        Point(_axis(name), value, tuple(every[k * seeds : (k + 1) * seeds]))
+        for k, (name, value) in enumerate(asked)
     ]
-    every = [b for point in points for b in point.became]
     table = Table(
         "What became of the photos, per cent",
         ("difficulty", "value", "success", "told that the camera is wrong", "refused", "wrong"),

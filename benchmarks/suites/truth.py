@@ -15,6 +15,7 @@ from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from benchmarks.last_stage import finish, grid_of, pose_error
 from benchmarks.metrics import Figure
 from benchmarks.options import Options
+from benchmarks.parallel import measured
 from benchmarks.result import Result, Table
 
 SHARE = 0.95
@@ -112,8 +113,12 @@ def measure(regime: Regime, seed: int) -> Outcome | None:
         rotation=float(error[:3] @ np.linalg.solve(C[:3, :3], error[:3])),
         pose=float(error @ np.linalg.solve(C, error)),
         focal=float(((check.focal_px - scene.camera.fx) / check.focal_sigma_px) ** 2),
-        consistent=check.consistent,
+        consistent=check.consistent is not False,
     )
+
+
+def _measure(asked: tuple[Regime, int]) -> Outcome | None:
+    return measure(*asked)
 
 
 def covered(values: Sequence[float], freedom: int) -> float:
@@ -125,7 +130,7 @@ def run(options: Options) -> Result:
     """Every regime."""
     seeds = options.count(4, 60)
     regimes = tuple(regime for regime in REGIMES if not options.quick or regime.name in QUICK)
-    drawn = [measure(regime, 1000 + k) for regime in regimes for k in range(seeds)]
+    drawn = measured(_measure, [(regime, 1000 + k) for regime in regimes for k in range(seeds)], options.jobs)
     found = [outcome for outcome in drawn if outcome is not None]
     rows = tuple(_row(regime.name, [o for o in found if o.regime == regime]) for regime in regimes)
     even = [o.pose for o in found if o.regime.jitter_m == 0]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from autoreg.errors import Refusal
 from autoreg.image import load_photo
 from benchmarks.metrics import Figure
 from benchmarks.options import Options
+from benchmarks.parallel import measured
 from benchmarks.photos import photo_files, without_photos
 from benchmarks.result import Result, Table
 
@@ -115,19 +117,23 @@ def _became(base: Alignment | None, found: Alignment | None, variant: Variant, p
     return found.lattice.kind if same else "CONTRADICTED"
 
 
+def _row(photo: tuple[Path, bool]) -> tuple[str, ...]:
+    """What became of a photo, paved or not, and of its variants."""
+    path, paved = photo
+    gray = load_photo(path).gray
+    if gray.size > MOST_PIXELS:
+        gray = resized(gray, float(np.sqrt(MOST_PIXELS / gray.size)))
+    base = _aligned(gray)
+    became = [_became(base, _aligned(v.make(gray)), v, paved) for v in VARIANTS]
+    return (path.name, "refused" if base is None else base.lattice.kind, *became)
+
+
 def run(options: Options) -> Result:
     """Every photo of the folder, in every variant."""
     files = photo_files(options)
     if not files:
         return without_photos("variants", options)
-    rows: list[tuple[str, ...]] = []
-    for path, paved in files:
-        gray = load_photo(path).gray
-        if gray.size > MOST_PIXELS:
-            gray = resized(gray, float(np.sqrt(MOST_PIXELS / gray.size)))
-        base = _aligned(gray)
-        became = [_became(base, _aligned(v.make(gray)), v, paved) for v in VARIANTS]
-        rows.append((path.name, "refused" if base is None else base.lattice.kind, *became))
+    rows = measured(_row, files, options.jobs)
     told = [became for row in rows if row[1] != "refused" for became in row[2:]]
     every = [became for row in rows for became in row[2:]]
     wrong = every.count("CONTRADICTED")
