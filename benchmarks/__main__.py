@@ -6,7 +6,7 @@ import argparse
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,12 +71,15 @@ def main(words: Sequence[str] | None = None, console: Console | None = None) -> 
         return BAD_USAGE
     options.out.mkdir(parents=True, exist_ok=True)
     kept, place = options.out / f"results-{mode_of(options.quick)}.json", machine()
-    earlier = {result.suite: result for result in read_results(kept)}
-    ran = tuple(earlier[name] for name in names if name in earlier) if asked.again else _run(names, options)
-    together = earlier | {result.suite: result for result in ran}
-    # Suites may be run one by one: the folder holds the latest result of each.
-    every = tuple(together[name] for name in NAMES if name in together)
-    kept.write_text(to_json(every, place))
+    # Suites may be run one by one: the folder holds the latest result of each, as soon as there is one.
+    latest = {result.suite: result for result in read_results(kept)}
+    ran: list[Result] = []
+    for name in names:
+        if not asked.again:
+            latest[name] = _run(name, options)
+            kept.write_text(to_json(_in_order(latest), place))
+        ran += [latest[name]] if name in latest else []
+    every = _in_order(latest)
     baseline = read_baseline(BASELINE, options.quick)
     judged = judge(ran, baseline, options.quick)
     print_report(ran, judged, console)
@@ -112,7 +115,7 @@ def documented(out: Path) -> tuple[tuple[Result, ...], tuple[Judgement, ...]]:
         for result in read_results(place):
             if result.suite not in found or result.skipped is None:
                 found[result.suite] = result
-    results = tuple(found[name] for name in NAMES if name in found)
+    results = _in_order(found)
     judged = [
         judgement
         for quick in (True, False)
@@ -123,18 +126,17 @@ def documented(out: Path) -> tuple[tuple[Result, ...], tuple[Judgement, ...]]:
     return results, tuple(judged)
 
 
-def _run(names: Sequence[str], options: Options) -> tuple[Result, ...]:
-    done: list[Result] = []
-    code = measured_code()
-    for name in names:
-        print(f"{name} ...", file=sys.stderr, flush=True)
-        began = time.monotonic()
-        result = run_suite(name, options)
-        took = time.monotonic() - began
-        done.append(
-            replace(result, seconds=took, command=options.command(name), quick=options.quick, code=code)
-        )
-    return tuple(done)
+def _run(name: str, options: Options) -> Result:
+    print(f"{name} ...", file=sys.stderr, flush=True)
+    began = time.monotonic()
+    result = run_suite(name, options)
+    took = time.monotonic() - began
+    command = options.command(name)
+    return replace(result, seconds=took, command=command, quick=options.quick, code=measured_code())
+
+
+def _in_order(latest: Mapping[str, Result]) -> tuple[Result, ...]:
+    return tuple(latest[name] for name in NAMES if name in latest)
 
 
 def measured_code() -> str:

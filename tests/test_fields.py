@@ -197,7 +197,11 @@ def grating(x: float, y: float, *, both: bool = True) -> list[tuple[float, float
         (grating(1.2, 2.5), 0.35, True),
         (grating(1.2, 2.5), 5.0, False),
         (grating(1.2, 2.5, both=False), 0.35, False),
-        ([tuple(10.0 * v for v in piece) for piece in grating(1.2, 2.5)], 0.05, False),
+        (
+            grating(1.2, 2.5) + 30 * [tuple(10.0 * v for v in piece) for piece in grating(1.2, 2.5)],
+            5.0,
+            False,
+        ),
     ],
     ids=["a field", "too little of it", "one direction", "beyond reach"],
 )

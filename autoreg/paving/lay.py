@@ -7,7 +7,7 @@ single slab side tells the bond.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +20,7 @@ from autoreg.ground.rectify import near_reach, rectify
 from autoreg.ground.sides import Grid, visible_sides
 from autoreg.ground.sight import Look, Looks
 from autoreg.paving.bond import BondHypothesis, bond_hypotheses
-from autoreg.paving.lattice_choice import Paving, hopeful, settle_bond
+from autoreg.paving.lattice_choice import Paving, hopeful, presented, settle_bond
 from autoreg.paving.multiples import divided, slabs_in_one, too_long
 from autoreg.paving.periods import Comb, best_combs
 from autoreg.paving.plane_combs import PlaneCombs
@@ -155,8 +155,20 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: b
     if fills(fit, field):
         laid = settle_bond(looks.picture, fit, presence if whole else None)
     else:
-        laid = settle_bond(looks.picture, refine_in_field(looks.picture, fit, field))
+        fit = refine_in_field(looks.picture, fit, field)
+        laid = settle_bond(looks.picture, fit)
+    if laid is not None and laid.grid != fit.grid:
+        laid = _fitted_anew(looks.picture, plane, laid)
     return None if laid is None else of_single_slabs(looks.picture, laid)
+
+
+def _fitted_anew(picture: Float[np.ndarray, "h w"], plane: PlaneCombs, laid: Paving) -> Paving:
+    """A lattice that was told by the fit of another one, by its own joints, if that makes it clearer."""
+    told = laid.fit
+    plane = replace(plane, camera=told.camera)
+    grown = fit_outwards(picture, plane, told.cam_from_ground, told.grid, told.free)
+    again = grown and presented(picture, refine_in_field(picture, grown, laid.presence.field))
+    return again if again is not None and again.margin_nats > laid.margin_nats else laid
 
 
 def of_single_slabs(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving | None:
