@@ -9,14 +9,15 @@ from jaxtyping import Float, UInt8
 from paved import STACK, fit_of
 
 from autoreg.align import align
+from autoreg.answer.full_resolution import _turned
 from autoreg.answer.refusals import MOST_FANNED_DEG, turning
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
-from autoreg.ground.points import project_ground
+from autoreg.ground.points import inside_box, on_ground, project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y
-from autoreg.rows.turning_stones import AROUND, FEWEST_SEGMENTS, common_turn, turn_of_rows
+from autoreg.rows.turning_stones import AROUND, FEWEST_SEGMENTS, common_turn, straight, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.synthetic import look_at_ground, render_paving
 from benchmarks.raytrace.scene import Paving
@@ -83,6 +84,32 @@ def test_stones_that_turn_around_a_small_field_count_where_that_is_asked_for(fit
     small = middle + (field - middle) / 3.0
     assert turning(common_turn(segments, fit, small)) is None
     assert turning(common_turn(segments, fit, small, margin=AROUND)) is not None
+
+
+def among(own: Segments, others: Segments) -> Segments:
+    ends, sigma = np.concatenate([own.ends_px, others.ends_px]), np.r_[own.sigma_px, others.sigma_px]
+    return Segments(ends, sigma, np.r_[own.level, others.level])
+
+
+def test_what_turns_around_straight_slabs_is_something_else(fit: Fit):
+    segments, field = sides_turned(fit, ALONG_X, 0.0)
+    assert straight(segments, fit, field, (ALONG_X, ALONG_Y))
+    askew, _ = sides_turned(fit, ALONG_X, 60.0)
+    middle = field.mean(0)
+    inner = middle + (field - middle) / 1.8
+    outside = ~inside_box(on_ground(askew.ends_px, fit.camera, fit.cam_from_ground).mean(1), inner, 0.0)
+    # Slabs amid stones that turn, as a board before what lies behind it.
+    kept = inside_box(on_ground(segments.ends_px, fit.camera, fit.cam_from_ground).mean(1), inner, 0.0)
+    both = among(segments.take(kept), askew.take(outside))
+    assert turning(common_turn(both, fit, inner, margin=AROUND)) is not None
+    assert _turned(both, fit, inner) is None
+
+
+@pytest.mark.parametrize(("turn_deg", "count"), [(12.0, COUNT * COUNT), (0.0, 20)])
+def test_stones_that_turn_and_few_ones_are_not_known_to_be_straight(fit: Fit, turn_deg: float, count: int):
+    segments, field = sides_turned(fit, ALONG_X, turn_deg)
+    some = segments.take(np.r_[:count, COUNT * COUNT : COUNT * COUNT + count])
+    assert not straight(some, fit, field, (ALONG_X, ALONG_Y))
 
 
 @pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])

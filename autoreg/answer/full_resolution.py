@@ -25,7 +25,7 @@ from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
 from autoreg.rows.slab_lengths import longer_than_wide, slab_lengths
-from autoreg.rows.turning_stones import AROUND, common_turn, turn_of_rows
+from autoreg.rows.turning_stones import AROUND, common_turn, straight, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.slabs.uncertainty import Settled
 from autoreg.solve.freedom import Free
@@ -69,7 +69,9 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
     fit, crossing = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA)), found.crossing
     field = found.paving.presence.field
     change = change_of_lean(sight.segments, fit, field)
-    bowed = arcs(common_arc(fit)) or fanned(change) or turning(turn_of_rows(sight.segments, fit, field))
+    ruled = straight(sight.segments, fit, field, (ALONG_X,))
+    turn = None if ruled else turn_of_rows(sight.segments, fit, field)
+    bowed = arcs(common_arc(fit)) or fanned(change) or turning(turn)
     if bowed is not None:
         raise bowed
     squared = None
@@ -120,7 +122,8 @@ def _bowed(fit: Fit) -> Refusal | None:
 
 def _turned(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
     """The refusal of a lattice whose stones turn, within its field or around it; None if they may not."""
-    turns = (common_turn(segments, fit, field, margin=margin) for margin in (0.0, AROUND))
+    margins = (0.0,) if straight(segments, fit, field, (ALONG_X, ALONG_Y)) else (0.0, AROUND)
+    turns = (common_turn(segments, fit, field, margin=margin) for margin in margins)
     return next((turned for turn in turns if (turned := turning(turn))), None)
 
 

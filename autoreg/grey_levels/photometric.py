@@ -47,8 +47,9 @@ from autoreg.solve import joint_data as terms
 from autoreg.solve.freedom import stretched
 from autoreg.solve.joint_data import PARAMETERS
 
-# Pixels that are looked at: more tell little more, and cost time.
-MOST_PIXELS = 80_000
+# Pixels that are looked at: more tell little more, and cost time. Of joints that are blurred by more than so
+# many pixels each tells less, and as many more are looked at.
+MOST_PIXELS, MORE_FROM_PX = 80_000, 1.5
 MOST_STEPS = 5
 # The first steps look at one pixel of so many.
 ROUGHLY = 5
@@ -132,8 +133,9 @@ def on_grey_levels(
         return None
     shape = Shape(fit.cam_from_ground, fit.grid, fit.strip.width, fit.strip.blur_px)
     sides = _sides(fit, reach, field)
+    most = round(MOST_PIXELS * max(1.0, shape.blur_px / MORE_FROM_PX))
     pixels = joint_pixels(
-        picture, fit.camera, shape.pose, shape.grid, sides, shape.width, shape.blur_px, MOST_PIXELS
+        picture, fit.camera, shape.pose, shape.grid, sides, shape.width, shape.blur_px, most
     )
     if pixels.cells < SPARE_CELLS + UNKNOWNS:
         return None

@@ -21,6 +21,10 @@ from autoreg.spread import spread
 FEWEST_SEGMENTS = 8
 # The ground around a field reaches so many of its sizes to either side.
 AROUND = 1.0
+# Joints that scatter by less about a lattice's directions are those of slabs, and what lies around them in
+# other directions is something else: those of boards and slabs scatter by up to 1.6 degrees, those of waves
+# that pass as a lattice by 3 or more.
+STRAIGHT_RAD = np.radians(2.0)
 
 
 def common_turn(
@@ -42,6 +46,21 @@ def common_turn(
             less = min(known, key=lambda turn: abs(turn.angle))
             alike.append(Lean(less.angle, max(turn.sigma for turn in known)))
     return max(alike, key=lambda turn: abs(turn.angle), default=None)
+
+
+def straight(
+    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], families: tuple[int, ...]
+) -> bool:
+    """Whether the joints of some families within a field scatter so little that their stones cannot turn.
+
+    The fit is at the photo's own resolution. False as well where too few joints are seen.
+    """
+    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
+    for family in families:
+        off, _ = _off(ground, fit, field, family)
+        if len(off) < 3 * FEWEST_SEGMENTS or spread(off) > STRAIGHT_RAD:
+            return False
+    return True
 
 
 def turn_of_rows(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
@@ -70,6 +89,30 @@ def _turn(
 ) -> Lean | None:
     """By how much the median direction of a family's segments turns along an axis of the ground.
 
+    Of those that `_off` takes.
+    """
+    off, middle = _off(ground, fit, field, family, margin=margin, longest=longest)
+    if len(off) < 3 * FEWEST_SEGMENTS:
+        return None
+    place = middle[:, axis]
+    low, high = np.quantile(place, [1 / 3, 2 / 3])
+    ends = [off[place <= low], off[place >= high]]
+    change = float(np.median(ends[1]) - np.median(ends[0]))
+    sigmas = [MEDIAN_LOSS * spread(end) / np.sqrt(len(end)) for end in ends]
+    return Lean(change, float(np.hypot(*sigmas)))
+
+
+def _off(
+    ground: Float[np.ndarray, "n 2 2"],
+    fit: Fit,
+    field: Float[np.ndarray, "k 2"],
+    family: int,
+    *,
+    margin: float = 0.0,
+    longest: float = LONGEST,
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m 2"]]:
+    """Angles of a family's segments off the lattice's direction, and their middles.
+
     Each lies between two joints of the other family, and is a good part of a slab long, or up to `longest`
     slabs. Those around the field, within a `margin` of so many of its sizes, count as well.
     """
@@ -79,11 +122,4 @@ def _turn(
     off = off_angle(ground[..., ::-1]) if family == ALONG_X else -off_angle(ground)
     own = inside_box(middle, field, margin) & (length > SHORTEST) & (length < longest)
     own &= np.abs(off) < FANNED_RAD
-    off, place = off[own], middle[own, axis]
-    if len(off) < 3 * FEWEST_SEGMENTS:
-        return None
-    low, high = np.quantile(place, [1 / 3, 2 / 3])
-    ends = [off[place <= low], off[place >= high]]
-    change = float(np.median(ends[1]) - np.median(ends[0]))
-    sigmas = [MEDIAN_LOSS * spread(end) / np.sqrt(len(end)) for end in ends]
-    return Lean(change, float(np.hypot(*sigmas)))
+    return off[own], middle[own]
