@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -103,6 +105,33 @@ def test_what_turns_around_straight_slabs_is_something_else(fit: Fit):
     both = among(segments.take(kept), askew.take(outside))
     assert turning(common_turn(both, fit, inner, margin=AROUND)) is not None
     assert _turned(both, fit, inner) is None
+
+
+def scattered(fit: Fit, degrees: tuple[float, float]) -> tuple[Segments, Float[np.ndarray, "4 2"]]:
+    """Sides of stones whose directions scatter by so much, along X and along Y, wherever they lie."""
+    straight_ones, field = sides_turned(fit, ALONG_X, 0.0)
+    ground = on_ground(straight_ones.ends_px, fit.camera, fit.cam_from_ground)
+    middle = ground.mean(1, keepdims=True)
+    turn = np.random.default_rng(5).normal(0.0, np.radians(np.repeat(degrees, COUNT * COUNT)))
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], 1)
+    ends = middle + np.einsum("nij,nkj->nki", R, ground - middle)
+    return replace(straight_ones, ends_px=project_ground(fit.camera, fit.cam_from_ground, ends)), field
+
+
+@pytest.mark.parametrize(
+    ("degrees", "refused"), [((2.0, 2.0), False), ((9.0, 9.0), True), ((9.0, 1.0), False)]
+)
+def test_stones_that_point_anywhere_are_none_of_a_lattice(
+    fit: Fit, degrees: tuple[float, float], refused: bool
+):
+    # Shadows and wickerwork scatter the edges of one family.
+    segments, field = scattered(fit, degrees)
+    refusal = _turned(segments, fit, field)
+    assert (refusal is not None) == refused
+    if refusal is not None:
+        assert "askew" in refusal.message
+        assert refusal.measured == pytest.approx(9.0, rel=0.2)
 
 
 @pytest.mark.parametrize(("turn_deg", "count"), [(12.0, COUNT * COUNT), (0.0, 20)])

@@ -7,7 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from autoreg.answer.last_step import likeliest
-from autoreg.answer.refusals import arcs, fanned, filled, focal_untold, maybe_wall, no_lattice, turning
+from autoreg.answer.refusals import (
+    arcs,
+    askew,
+    fanned,
+    filled,
+    focal_untold,
+    maybe_wall,
+    no_lattice,
+    turning,
+)
 from autoreg.answer.right_angles import Squared, square_up
 from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal
@@ -25,7 +34,7 @@ from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
 from autoreg.rows.slab_lengths import longer_than_wide, slab_lengths
-from autoreg.rows.turning_stones import AROUND, common_turn, straight, turn_of_rows
+from autoreg.rows.turning_stones import AROUND, common_turn, scatter, straight, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.slabs.uncertainty import Settled
 from autoreg.solve.freedom import Free
@@ -122,9 +131,11 @@ def _bowed(fit: Fit) -> Refusal | None:
 
 def _turned(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
     """The refusal of a lattice whose stones turn, within its field or around it; None if they may not."""
-    margins = (0.0,) if straight(segments, fit, field, (ALONG_X, ALONG_Y)) else (0.0, AROUND)
+    both = ALONG_X, ALONG_Y
+    margins = (0.0,) if straight(segments, fit, field, both) else (0.0, AROUND)
     turns = (common_turn(segments, fit, field, margin=margin) for margin in margins)
-    return next((turned for turn in turns if (turned := turning(turn))), None)
+    turned = next((refusal for turn in turns if (refusal := turning(turn))), None)
+    return turned or askew([scatter(segments, fit, field, family) for family in both])
 
 
 def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free) -> Squared:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -24,6 +25,9 @@ MOST_LEAN_DEG, LEAN_SIGMAS = 3.0, 5.0
 # Nor do they turn by so much from the first rows to the last, or with the joints along the rows from one side
 # to the other: by some tenths of a degree in slabs. Where so much cannot be told from none, it may well be.
 MOST_FANNED_DEG, FANNED_SIGMAS = 8.0, 2.5
+# Both families of a lattice's joints do not scatter in direction by more than this. Of right answers the
+# family with less of it does by 4.2 at most (wickerwork; elsewhere by 2.1), of waves that passed by 6.4 or more.
+MOST_ASKEW_DEG = 5.5
 # Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
 MOST_ARC_DEG, ARC_SIGMAS = 3.5, 4.0
 # Of the edges along a lattice's joints so many lie inside its slabs, over the share of those that lie
@@ -234,6 +238,24 @@ def turning(turn: Lean | None) -> Refusal | None:
         FANNED_SIGMAS,
         "these stones turn by {:.0f} degrees from one side of their field to the other, as those of fans and "
         "rings do; photograph slabs in straight rows",
+    )
+
+
+def askew(scatters: Sequence[float | None]) -> Refusal | None:
+    """The refusal of stones both families of whose joints scatter in direction; None if they may not.
+
+    Args:
+        scatters: standard deviation of each family's directions in radians, or None.
+    """
+    known = [float(np.degrees(s)) for s in scatters if s is not None]
+    if len(known) < len(scatters) or min(known) < MOST_ASKEW_DEG:
+        return None
+    return Refusal(
+        "no_lattice",
+        f"the joints of these stones run {min(known):.0f} degrees askew of each other (standard deviation), "
+        "as those of waves, fans and crazy paving do; photograph slabs in straight rows",
+        measured=min(known),
+        limit=MOST_ASKEW_DEG,
     )
 
 

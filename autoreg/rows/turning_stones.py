@@ -48,19 +48,25 @@ def common_turn(
     return max(alike, key=lambda turn: abs(turn.angle), default=None)
 
 
+def scatter(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], family: int) -> float | None:
+    """Standard deviation of the directions of a family's joints within a field, in radians, robust.
+
+    None where too few are seen. The fit is at the photo's own resolution.
+    """
+    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
+    off, _ = _off(ground, fit, field, family)
+    return spread(off) if len(off) >= 3 * FEWEST_SEGMENTS else None
+
+
 def straight(
     segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], families: tuple[int, ...]
 ) -> bool:
     """Whether the joints of some families within a field scatter so little that their stones cannot turn.
 
-    The fit is at the photo's own resolution. False as well where too few joints are seen.
+    False as well where too few joints are seen.
     """
-    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
-    for family in families:
-        off, _ = _off(ground, fit, field, family)
-        if len(off) < 3 * FEWEST_SEGMENTS or spread(off) > STRAIGHT_RAD:
-            return False
-    return True
+    scatters = [scatter(segments, fit, field, family) for family in families]
+    return all(s is not None and s < STRAIGHT_RAD for s in scatters)
 
 
 def turn_of_rows(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
