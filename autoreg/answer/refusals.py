@@ -26,7 +26,7 @@ MOST_LEAN_DEG, LEAN_SIGMAS = 3.0, 5.0
 # to the other: by some tenths of a degree in slabs. Where so much cannot be told from none, it may well be.
 MOST_FANNED_DEG, FANNED_SIGMAS = 8.0, 2.5
 # Both families of a lattice's joints do not scatter in direction by more than this. Of right answers the
-# family with less of it does by 4.2 at most (wickerwork; elsewhere by 2.1), of waves that passed by 6.4 or more.
+# family with less of it does by 4.2 at most (wickerwork; elsewhere by 2.1), of waves that passed by 6.4.
 MOST_ASKEW_DEG = 5.5
 # Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
 MOST_ARC_DEG, ARC_SIGMAS = 3.5, 4.0
