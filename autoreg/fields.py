@@ -203,8 +203,7 @@ def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
     picture = sight.looks.picture
     own = camera.scaled(picture.shape[1], picture.shape[0])
     # In the part, a pixel may stand for less.
-    smear_x, smear_y = (px * own.fx / other.fit.camera.fx for px in other.fit.strip.smear_px)
-    strip = replace(other.fit.strip, smear_px=(smear_x, smear_y))
+    strip = other.fit.strip.resized(own.fx / other.fit.camera.fx)
     fit = refine_in_field(picture, replace(other.fit, camera=own, strip=strip), other.presence.field)
     presence = presence_of(picture, fit, limit=ALL_SIDES)
     # A part may be seen many times as finely as the whole, which shows nothing of its slabs then.

@@ -73,10 +73,12 @@ def main(words: Sequence[str] | None = None, console: Console | None = None) -> 
     kept, place = options.out / f"results-{mode_of(options.quick)}.json", machine()
     # Suites may be run one by one: the folder holds the latest result of each, as soon as there is one.
     latest = {result.suite: result for result in read_results(kept)}
+    # What is committed while suites run is not what they measure.
+    code = measured_code()
     ran: list[Result] = []
     for name in names:
         if not asked.again:
-            latest[name] = _run(name, options)
+            latest[name] = _run(name, options, code)
             kept.write_text(to_json(_in_order(latest), place))
         ran += [latest[name]] if name in latest else []
     every = _in_order(latest)
@@ -126,13 +128,13 @@ def documented(out: Path) -> tuple[tuple[Result, ...], tuple[Judgement, ...]]:
     return results, tuple(judged)
 
 
-def _run(name: str, options: Options) -> Result:
+def _run(name: str, options: Options, code: str) -> Result:
     print(f"{name} ...", file=sys.stderr, flush=True)
     began = time.monotonic()
     result = run_suite(name, options)
     took = time.monotonic() - began
     command = options.command(name)
-    return replace(result, seconds=took, command=command, quick=options.quick, code=measured_code())
+    return replace(result, seconds=took, command=command, quick=options.quick, code=code)
 
 
 def _in_order(latest: Mapping[str, Result]) -> tuple[Result, ...]:

@@ -19,7 +19,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.points import inside_box, on_ground, project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y
-from autoreg.rows.turning_stones import AROUND, FEWEST_SEGMENTS, common_turn, straight, turn_of_rows
+from autoreg.rows.turning_stones import AROUND, FEWEST_SEGMENTS, common_turn, scatters, straight, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.synthetic import look_at_ground, render_paving
 from benchmarks.raytrace.scene import Paving
@@ -95,7 +95,7 @@ def among(own: Segments, others: Segments) -> Segments:
 
 def test_what_turns_around_straight_slabs_is_something_else(fit: Fit):
     segments, field = sides_turned(fit, ALONG_X, 0.0)
-    assert straight(segments, fit, field, (ALONG_X, ALONG_Y))
+    assert straight(scatters(segments, fit, field))
     askew, _ = sides_turned(fit, ALONG_X, 60.0)
     middle = field.mean(0)
     inner = middle + (field - middle) / 1.8
@@ -138,7 +138,7 @@ def test_stones_that_point_anywhere_are_none_of_a_lattice(
 def test_stones_that_turn_and_few_ones_are_not_known_to_be_straight(fit: Fit, turn_deg: float, count: int):
     segments, field = sides_turned(fit, ALONG_X, turn_deg)
     some = segments.take(np.r_[:count, COUNT * COUNT : COUNT * COUNT + count])
-    assert not straight(some, fit, field, (ALONG_X, ALONG_Y))
+    assert not straight(scatters(some, fit, field))
 
 
 @pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])

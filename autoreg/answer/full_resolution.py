@@ -34,7 +34,7 @@ from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
 from autoreg.rows.slab_lengths import longer_than_wide, slab_lengths
-from autoreg.rows.turning_stones import AROUND, common_turn, scatter, straight, turn_of_rows
+from autoreg.rows.turning_stones import AROUND, common_turn, scatters, straight, turn_of_rows
 from autoreg.segments import Segments
 from autoreg.slabs.uncertainty import Settled
 from autoreg.solve.freedom import Free
@@ -78,7 +78,7 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
     fit, crossing = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA)), found.crossing
     field = found.paving.presence.field
     change = change_of_lean(sight.segments, fit, field)
-    ruled = straight(sight.segments, fit, field, (ALONG_X,))
+    ruled = straight(scatters(sight.segments, fit, field)[:1])
     turn = None if ruled else turn_of_rows(sight.segments, fit, field)
     bowed = arcs(common_arc(fit)) or fanned(change) or turning(turn)
     if bowed is not None:
@@ -131,11 +131,11 @@ def _bowed(fit: Fit) -> Refusal | None:
 
 def _turned(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
     """The refusal of a lattice whose stones turn, within its field or around it; None if they may not."""
-    both = ALONG_X, ALONG_Y
-    margins = (0.0,) if straight(segments, fit, field, both) else (0.0, AROUND)
+    scattered = scatters(segments, fit, field)
+    margins = (0.0,) if straight(scattered) else (0.0, AROUND)
     turns = (common_turn(segments, fit, field, margin=margin) for margin in margins)
     turned = next((refusal for turn in turns if (refusal := turning(turn))), None)
-    return turned or askew([scatter(segments, fit, field, family) for family in both])
+    return turned or askew(scattered)
 
 
 def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free) -> Squared:
@@ -196,13 +196,8 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
 def _at_detection_scale(fit: Fit, small: np.ndarray, found: Paving) -> Fit:
     """A fit as the small picture shows it, where the presence of sides is judged."""
     camera = fit.camera.scaled(small.shape[1], small.shape[0])
-    smear_x, smear_y = (px * small.shape[1] / fit.camera.width for px in fit.strip.smear_px)
-    strip = replace(
-        fit.strip,
-        blur_px=found.fit.strip.blur_px,
-        polarity=found.fit.strip.polarity,
-        smear_px=(smear_x, smear_y),
-    )
+    looks = fit.strip.resized(small.shape[1] / fit.camera.width)
+    strip = replace(looks, blur_px=found.fit.strip.blur_px, polarity=found.fit.strip.polarity)
     return replace(fit, camera=camera, strip=strip)
 
 

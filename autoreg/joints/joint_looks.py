@@ -67,6 +67,11 @@ class Strip:
         mine, theirs = ((*strip.width, strip.blur_px, *strip.smear_px) for strip in (self, other))
         return bool(np.allclose(mine, theirs, rtol=SETTLED))
 
+    def resized(self, scale: float) -> Strip:
+        """The looks, but for the blur, in a picture so many times as large."""
+        x, y = self.smear_px
+        return replace(self, smear_px=(scale * x, scale * y))
+
     @property
     def smeared(self) -> bool:
         """Whether the joints of either family are."""

@@ -251,8 +251,8 @@ def _finer(picture: Float[np.ndarray, "h w"], fit: Fit, factor: int, family: int
         picture, fine, limit=SUBDIVIDE_SIDES, only=family, controls_wanted=SUBDIVIDE_CONTROLS
     )
     best = best_pattern(presence, family)
-    same = (factor, carry(fit.grid, factor), 0)
-    known = next(p for p in best if (p.period, p.advance, p.phase) == same)
+    same = Pattern(factor, carry(fit.grid, factor), 0, 0.0)
+    known = next(p for p in best if p.same_sides(same))
     if best[0].score - known.score <= SUBDIVIDE_NATS:
         return None
     stronger = outstanding(presence, family)

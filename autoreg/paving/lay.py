@@ -7,11 +7,12 @@ single slab side tells the bond.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import refine
 from autoreg.geometry import Rigid
@@ -141,7 +142,7 @@ def _bond_start(R: np.ndarray, bond: BondHypothesis) -> _Start:
 
 def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: bool = False) -> Paving | None:
     """The lattice that a start leads to, if any; only if the joints of `both` families may be there."""
-    fit = fit_outwards(looks.picture, plane, start.pose, start.grid, free, start.field)
+    fit = fit_outwards(looks.picture, plane.camera, start.pose, start.grid, free, start.field)
     if fit is None:
         return None
     presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES)
@@ -158,15 +159,14 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: b
         fit = refine_in_field(looks.picture, fit, field)
         laid = settle_bond(looks.picture, fit)
     if laid is not None and laid.grid != fit.grid:
-        laid = _fitted_anew(looks.picture, plane, laid)
+        laid = _fitted_anew(looks.picture, laid)
     return None if laid is None else of_single_slabs(looks.picture, laid)
 
 
-def _fitted_anew(picture: Float[np.ndarray, "h w"], plane: PlaneCombs, laid: Paving) -> Paving:
+def _fitted_anew(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving:
     """A lattice that was told by the fit of another one, by its own joints, if that makes it clearer."""
     told = laid.fit
-    plane = replace(plane, camera=told.camera)
-    grown = fit_outwards(picture, plane, told.cam_from_ground, told.grid, told.free)
+    grown = fit_outwards(picture, told.camera, told.cam_from_ground, told.grid, told.free)
     again = grown and presented(picture, refine_in_field(picture, grown, laid.presence.field))
     return again if again is not None and again.margin_nats > laid.margin_nats else laid
 
@@ -199,14 +199,17 @@ def fills(fit: Fit, field: Float[np.ndarray, "k 2"]) -> bool:
 
 def fit_outwards(
     picture: Float[np.ndarray, "h w"],
-    plane: PlaneCombs,
+    camera: Camera,
     cam_from_ground: Rigid,
     grid: Grid,
     free: Free,
     field: Float[np.ndarray, "k 2"] | None = None,
 ) -> Fit | None:
-    """The fit that a start grows to: from the camera's feet outwards, or within a field that is known."""
-    camera = plane.camera.scaled(picture.shape[1], picture.shape[0])
+    """The fit that a start grows to: from the camera's feet outwards, or within a field that is known.
+
+    The camera may be of another picture size.
+    """
+    camera = camera.scaled(picture.shape[1], picture.shape[0])
     reaches = OUTWARDS if field is None else (FIELD_REACH,) * IN_FIELD_ROUNDS
     return refine(
         picture, camera, cam_from_ground, grid,

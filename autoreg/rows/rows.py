@@ -82,7 +82,7 @@ def lay_rows(
 
 def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) -> Fit | None:
     """The fit of unbroken joints, coarsened where only every second or third of them is there."""
-    fit = fit_outwards(picture, plane, start, grid, Free(step_sigma=STEP_SIGMA))
+    fit = fit_outwards(picture, plane.camera, start, grid, Free(step_sigma=STEP_SIGMA))
     for _ in range(3):
         if fit is None:
             return None

@@ -48,25 +48,19 @@ def common_turn(
     return max(alike, key=lambda turn: abs(turn.angle), default=None)
 
 
-def scatter(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], family: int) -> float | None:
-    """Standard deviation of the directions of a family's joints within a field, in radians, robust.
+def scatters(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> tuple[float | None, ...]:
+    """Standard deviations of the directions of the joints within a field, along X and along Y.
 
-    None where too few are seen. The fit is at the photo's own resolution.
+    In radians, robust; None where too few are seen. The fit is at the photo's own resolution.
     """
     ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
-    off, _ = _off(ground, fit, field, family)
-    return spread(off) if len(off) >= 3 * FEWEST_SEGMENTS else None
+    found = (_off(ground, fit, field, family)[0] for family in (ALONG_X, ALONG_Y))
+    return tuple(spread(off) if len(off) >= 3 * FEWEST_SEGMENTS else None for off in found)
 
 
-def straight(
-    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], families: tuple[int, ...]
-) -> bool:
-    """Whether the joints of some families within a field scatter so little that their stones cannot turn.
-
-    False as well where too few joints are seen.
-    """
-    scatters = [scatter(segments, fit, field, family) for family in families]
-    return all(s is not None and s < STRAIGHT_RAD for s in scatters)
+def straight(scatters: tuple[float | None, ...]) -> bool:
+    """Whether joints scatter so little that their stones cannot turn; False where too few are seen."""
+    return all(scatter is not None and scatter < STRAIGHT_RAD for scatter in scatters)
 
 
 def turn_of_rows(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:

@@ -141,7 +141,9 @@ def check_camera(
     centre = np.array([given.camera.cx - fit.camera.cx, given.camera.cy - fit.camera.cy])
     log_focal, sigma = _focal_alone(both, given.free, centre)
     focal = fit.camera.fx * float(np.exp(log_focal))
-    consistent = (None if unsure and fit is given else True) if chi_square < CONTRADICTION else False
+    consistent = None if unsure and fit is given else True
+    if chi_square >= CONTRADICTION:
+        consistent = False
     return CameraCheck(
         consistent, focal, focal * sigma, float(shift[0]), shift[1:3], float(shift[3]), chi_square
     )

@@ -197,13 +197,11 @@ def judge(photo: Photo) -> Became:
     return "told" if found.camera.consistent is False else "wrong"
 
 
-def _axis(name: str) -> Axis:
-    return next(axis for axis in AXES if axis.name == name)
-
-
 def _became(asked: tuple[str, float, int, tuple[int, int]]) -> Became:
+    # The axes' functions have no names to send them by.
     name, value, seed, size = asked
-    return judge(take(_axis(name), value, seed, size))
+    axis = next(axis for axis in AXES if axis.name == name)
+    return judge(take(axis, value, seed, size))
 
 
 def within(found: Alignment, scene: SyntheticScene) -> bool:
@@ -235,12 +233,11 @@ def run(options: Options) -> Result:
     seeds = options.count(1, 5)
     size = (640, 480) if options.quick else (1024, 768)
     axes = [replace(axis, values=axis.values[1:4:2]) for axis in AXES[1:5]] if options.quick else AXES
-    asked = [(axis.name, value) for axis in axes for value in axis.values]
-    photos = [(name, value, seed, size) for name, value in asked for seed in range(1, seeds + 1)]
+    asked = [(axis, value) for axis in axes for value in axis.values]
+    photos = [(axis.name, value, seed, size) for axis, value in asked for seed in range(1, seeds + 1)]
     every = measured(_became, photos, options.jobs)
     points = [
-        Point(_axis(name), value, tuple(every[k * seeds : (k + 1) * seeds]))
-        for k, (name, value) in enumerate(asked)
+        Point(axis, value, tuple(every[k * seeds : (k + 1) * seeds])) for k, (axis, value) in enumerate(asked)
     ]
     table = Table(
         "What became of the photos, per cent",
