@@ -134,10 +134,15 @@ def as_gray(array: np.ndarray) -> UInt8[np.ndarray, "h w"]:
     Raises:
         ValueError: the array has another shape or type, or numbers outside 0 to 1.
     """
+    given, array = array, np.asarray(array)
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] not in (3, 4)) or array.size == 0:
-        raise ValueError(f"photo must be an array of h x w, h x w x 3 (BGR) or x 4 (BGRA), got {array.shape}")
+        got = array.shape or type(given).__name__
+        raise ValueError(
+            f"photo must be an array of h x w, h x w x 3 (BGR) or x 4 (BGRA), got {got}; "
+            "autoreg.load_photo(path).gray is that of a file"
+        )
     if array.dtype == np.uint16:
         array = np.round(array / 257.0).astype(np.uint8)
     elif np.issubdtype(array.dtype, np.floating):

@@ -218,6 +218,7 @@ METRICS: tuple[Metric, ...] = (
     # real
     Metric("real.wrong", "photos aligned as what they are known not to be", "", goal=0.0, relative=0.0),
     Metric("real.aligned", "paved photos aligned as expected", "", "higher", relative=0.0),
+    Metric("real.rms", "joints off their lines, RMS, worst photo", "‰ of the diagonal", relative=0.25),
     Metric("real.refused", "pictures of other things that are refused", "", "higher", relative=0.0),
     # variants
     Metric(

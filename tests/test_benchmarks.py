@@ -601,6 +601,13 @@ def test_a_photo_is_judged_by_what_is_known_of_it():
     assert not real.agrees(alignment(pose), real.Expected(("running", "rows")))
 
 
+def test_a_photo_s_residual_is_told_by_its_size():
+    found = alignment(SyntheticScene().cam_from_ground)
+    seen = real.Seen("a.jpg", True, found, "", 1.0, np.zeros((1, 1, 3), np.uint8))
+    assert np.isclose(seen.rms_permille, 1e3 * 0.1 / np.hypot(found.width, found.height))
+    assert replace(seen, alignment=None).rms_permille == 0.0
+
+
 def test_an_answer_is_the_same_in_any_unit_and_of_no_multiple_of_the_slabs():
     pose = SyntheticScene().cam_from_ground
     base = alignment(pose, (0.6, 0.4))

@@ -422,6 +422,11 @@ def test_views_with_strange_strides_are_accepted():
     np.testing.assert_array_equal(as_gray(array[::-1, ::2, ::-1]), as_gray(array[::-1, ::2, ::-1].copy()))
 
 
+def test_the_name_of_a_file_is_an_error_that_says_how_to_load_it():
+    with pytest.raises(ValueError, match=r"load_photo\(path\)\.gray"):
+        as_gray(np.array("photo.jpg"))
+
+
 @pytest.mark.parametrize(
     "array",
     [

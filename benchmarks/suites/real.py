@@ -64,6 +64,14 @@ class Seen:
     tile: UInt8[np.ndarray, "h w 3"]
 
     @property
+    def rms_permille(self) -> float:
+        """RMS distance of the joints from their lines, in thousandths of the photo's diagonal."""
+        found = self.alignment
+        if found is None:
+            return 0.0
+        return 1e3 * found.residual.rms_px / float(np.hypot(found.width, found.height))
+
+    @property
     def verdict(self) -> str:
         """Right, wrong, refused, or not known."""
         if self.alignment is None:
@@ -156,6 +164,7 @@ def run(options: Options) -> Result:
         figures=(
             Figure("real.wrong", float(verdicts.count("wrong"))),
             Figure("real.aligned", float(sum(p.paved and p.verdict == "right" for p in seen))),
+            Figure("real.rms", max((p.rms_permille for p in seen), default=0.0)),
             Figure("real.refused", float(refused)),
         ),
         tables=(_table(seen),),
