@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,7 +20,8 @@ DIST_LENGTHS = (0, 4, 5, 8)
 class Camera:
     """Pinhole camera with OpenCV's distortion; (0, 0) is the centre of the top-left pixel.
 
-    `dist` holds OpenCV's coefficients (k1 k2 p1 p2 k3 k4 k5 k6), zero-filled to eight.
+    `dist` holds OpenCV's coefficients (k1 k2 p1 p2 k3 k4 k5 k6), zero-filled to eight; the row or column that
+    OpenCV's own calibration returns is taken too.
 
     Raises:
         ValueError: a size or focal length is not positive, a number is not finite, or `dist` does not
@@ -42,7 +44,7 @@ class Camera:
         for name in ("fx", "fy"):
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        coefficients = tuple(_finite(f"dist[{i}]", value) for i, value in enumerate(self.dist))
+        coefficients = tuple(_finite(f"dist[{i}]", value) for i, value in enumerate(_vector(self.dist)))
         if len(coefficients) not in DIST_LENGTHS:
             raise ValueError(f"dist must hold 0, 4, 5 or 8 coefficients, got {len(coefficients)}")
         object.__setattr__(self, "dist", coefficients + (0.0,) * (8 - len(coefficients)))
@@ -237,6 +239,15 @@ def _positive_integer(name: str, value: object) -> int:
     if number != int(number) or number <= 0:
         raise ValueError(f"{name} must be a positive whole number of pixels, got {value!r}")
     return int(number)
+
+
+def _vector(dist: object) -> Iterable[object]:
+    """The coefficients one by one, of a sequence or of an array with one row or column."""
+    if isinstance(dist, np.ndarray) and dist.ndim and sum(n > 1 for n in dist.shape) <= 1:
+        return dist.ravel()
+    if isinstance(dist, np.ndarray) or not isinstance(dist, Sequence) or isinstance(dist, str):
+        raise ValueError(f"dist must be a sequence of 0, 4, 5 or 8 coefficients, got {dist!r}")
+    return dist
 
 
 def _finite(name: str, value: object) -> float:

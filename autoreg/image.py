@@ -185,6 +185,9 @@ def _decode_gray(path: Path, data: bytes) -> UInt8[np.ndarray, "h w"]:
         return as_gray(picture)
     if data[4:12] in (b"ftypheic", b"ftypheix", b"ftypmif1", b"ftypmsf1", b"ftyphevc"):
         raise InputError(f"photo {path} is HEIC, which OpenCV does not decode; save it as JPEG or PNG")
+    stored = _decoded(data, cv2.IMREAD_UNCHANGED)
+    if stored is not None:
+        raise InputError(f"photo {path} has pixels of {stored.dtype}; save it with 8 or 16 bits per channel")
     raise InputError(f"photo {path} is broken or no picture that OpenCV decodes; save it as {_FORMATS}")
 
 

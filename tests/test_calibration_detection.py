@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 from boards import BOARD, SMALL, poses
+from PIL import Image
 
 from autoreg.calibration.board import Board, parse_pattern
 from autoreg.calibration.detection import find_board
@@ -65,6 +66,27 @@ def test_a_photo_without_a_board_says_so():
     found = find_board(cv2.GaussianBlur(noise, (0, 0), 2), BOARD)
     assert not found.found
     assert "9x6" in found.reason
+
+
+def test_the_search_that_never_ends_in_speckles_is_left_out_and_boards_in_them_are_found(monkeypatch):
+    searched = []
+    quick = cv2.findChessboardCorners
+    monkeypatch.setattr(
+        cv2, "findChessboardCorners", lambda *given, **flags: searched.append(1) or quick(*given, **flags)
+    )
+    scene = BoardScene(SMALL, BOARD, poses(SMALL, 4, seed=5)[0])
+    board = render_board(scene)
+    dithered = 255 * np.array(Image.fromarray(board).convert("1"), np.uint8)
+    found = find_board(dithered, BOARD)
+    # Found at its place, if not to sub-pixel.
+    assert np.abs(found.corners_px - true_corners(scene)).max() < 4
+    slope = np.tile(np.linspace(40, 220, 1200).astype(np.uint8), (800, 1))
+    grain = np.random.default_rng(0).integers(0, 256, (800, 1200)).astype(np.uint8)
+    for speckled in (255 * np.array(Image.fromarray(slope).convert("1"), np.uint8), grain):
+        assert not find_board(speckled, BOARD).found
+    assert not searched
+    assert find_board(board, BOARD).found
+    assert searched
 
 
 def test_a_larger_board_is_seen_to_go_on_and_the_right_one_is_not():
@@ -154,6 +176,9 @@ def test_a_pattern_that_is_none_is_refused(text):
 def test_a_pattern_is_read():
     assert parse_pattern("9x6") == (9, 6)
     assert parse_pattern("AUTO") is None
+    assert parse_pattern((9, 6)) == (9, 6)
+    with pytest.raises(InputError, match="2x6 is out of range"):
+        parse_pattern((2, 6))
 
 
 def test_a_board_that_fits_no_picture_has_no_pose():

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autoreg.calibration.models import LENS_MODELS
 from autoreg.camera import Camera
 from autoreg.camera_files import read_camera, write_camera_json
 from autoreg.errors import InputError
@@ -115,6 +116,36 @@ def test_opencvs_files_are_read_whatever_they_are_called(tmp_path, ending, keys,
     assert_same_camera(read_camera(path), expected)
 
 
+@pytest.mark.parametrize("ending", ["yml", "xml", "json"])
+def test_a_distortion_vector_of_one_dimension_is_read(tmp_path, given_text, ending):
+    storage = cv2.FileStorage(str(tmp_path / f"camera.{ending}"), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", CAMERA.width)
+    storage.write("image_height", CAMERA.height)
+    storage.write("camera_matrix", CAMERA.K)
+    storage.write("distortion_coefficients", np.array(FIVE))
+    storage.release()
+    text = (tmp_path / f"camera.{ending}").read_text()
+    # OpenCV before 5.0 knows no such vector: it writes one column.
+    if "sizes" in text:
+        with pytest.raises(InputError, match=r"says 6 but its data has 5 numbers"):
+            read_camera(given_text(text.replace("[ 5 ]", "[ 6 ]").replace("5</sizes>", "6</sizes>")))
+    assert_same_camera(read_camera(given_text(text)), CAMERA)
+
+
+def test_vectors_of_opencv_5_are_read_whatever_opencv_is_installed(given_text):
+    vector = "!!opencv-nd-matrix\n  sizes: [ 5 ]\n  dt: d\n"
+    text = ROS.replace(
+        "distortion_coefficients:\n  rows: 1\n  cols: 5\n", f"distortion_coefficients: {vector}"
+    )
+    assert "nd-matrix" in text
+    assert_same_camera(read_camera(given_text(text)), CAMERA)
+
+
+def test_a_matrix_and_dist_are_read_as_json(given_text):
+    text = json.dumps({"width": 1600, "height": 1200, "K": CAMERA.K.tolist(), "dist": [*FIVE]})
+    assert_same_camera(read_camera(given_text(text)), CAMERA)
+
+
 @pytest.mark.parametrize("header", YAML_HEADERS)
 @pytest.mark.parametrize("keys", ["calibration", "interactive"])
 def test_opencvs_yaml_is_read_under_the_headers_of_all_its_versions(tmp_path, given_text, header, keys):
@@ -210,6 +241,36 @@ def test_the_calibration_that_ships_with_opencvs_samples_is_read():
 def test_other_distortion_models_are_refused_by_name(given_text, model):
     with pytest.raises(InputError, match=rf"distortion_model is '{model}'.*plumb_bob"):
         read_camera(given_text(ROS.replace("plumb_bob", model)))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("model", "fisheye"),
+        ("distortion_model", "equidistant"),
+        ("camera_model", "omni"),
+        ("fisheye", True),
+        ("skew", 4),
+    ],
+)
+def test_the_own_format_is_refused_where_another_key_contradicts_it(given_text, key, value):
+    with pytest.raises(InputError, match=rf"{key}.*not supported"):
+        read_camera(given_text(json.dumps({**OWN, key: value})))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("model", model.name) for model in LENS_MODELS]
+    + [
+        ("model", None),
+        ("model", "Canon EOS 5D"),
+        ("distortion_model", "plumb_bob"),
+        ("fisheye", False),
+        ("skew", 0.0),
+    ],
+)
+def test_the_own_format_may_say_what_is_so(given_text, key, value):
+    assert_same_camera(read_camera(given_text(json.dumps({**OWN, key: value}))), CAMERA)
 
 
 def test_a_fisheye_calibration_of_opencv_is_refused(tmp_path):

@@ -5,12 +5,13 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from handmade import CAMERA, RUNNING, alignment, distorted, photo_for
+from handmade import CAMERA, POSE, RUNNING, alignment, distorted, photo_for
 from typer.testing import CliRunner
 
 import autoreg.align
@@ -81,6 +82,68 @@ def test_json_prints_the_report_and_nothing_else(photo, aligned):
     done = run("align", photo, "--json", "-o", "out")
     assert done.stdout == Path("out/alignment.json").read_text()
     assert "wrote" in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no disk is always full here")
+def test_a_stdout_that_takes_nothing_is_said_with_the_place_of_the_results(tmp_path):
+    code = (
+        "from pathlib import Path\nimport autoreg.__main__ as program, autoreg.command.cli as cli\n"
+        "def main():\n  with cli._exit_codes(): cli.hand_over('{}', Path('out'))\n"
+        "import typer\n"
+        "try: main()\n"
+        "except typer.Exit as end: program._leave(end.exit_code)\n"
+    )
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[2])},
+        )
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: stdout cannot be written: No space left on device; the results are in out\n"
+    )
+
+
+@pytest.mark.parametrize("name", ["alignment.json", "overlay.png", "scene.pov", "scene-photo.png"])
+def test_a_folder_in_the_way_of_a_result_is_named_and_nothing_is_written(photo, aligned, name):
+    Path("out", name).mkdir(parents=True)
+    done = run("align", photo, "-o", "out")
+    assert done.exit_code == 2
+    assert f"the folder out/{name} is in the way" in done.stderr
+    assert files("out") == {name}
+
+
+@pytest.mark.parametrize("option", ["-o", "--camera", "--scene"])
+def test_an_empty_path_is_not_taken_for_the_working_folder(photo, aligned, option):
+    before = files(".")
+    for given in ("", " "):
+        done = run("align", photo, option, given)
+        assert done.exit_code == 2
+        assert f"{option} is empty" in done.stderr
+    assert files(".") == before
+    assert "PHOTO is empty" in run("align", "").stderr
+    assert "--photo is empty" in run("render", "alignment.json", "--photo", "").stderr
+    assert "-o is empty" in run("calibrate", "boards", "-o", "").stderr
+
+
+@pytest.mark.parametrize(("larger", "said"), [(1.0, False), (100.0, True), (0.01, True)])
+def test_a_height_at_which_no_photo_is_taken_casts_doubt_on_the_slab(photo, monkeypatch, larger, said):
+    lattice = replace(
+        RUNNING,
+        spacing_x=0.6 * larger,
+        spacing_y=0.3 * larger,
+        joint_width=0.006 * larger,
+        extent=larger * RUNNING.extent,
+    )
+    found = alignment(lattice, pose=replace(POSE, t=larger * POSE.t))
+    monkeypatch.setattr(autoreg.align, "align_seen", lambda *_, **__: found)
+    done = run("align", photo, "-o", "out", "--slab", "0.6x0.3")
+    assert done.exit_code == 0, done.stderr
+    assert ("metres above the ground; --slab is in metres" in done.stderr) == said
 
 
 def test_json_for_a_closed_stdout_goes_nowhere(monkeypatch):

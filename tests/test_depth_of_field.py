@@ -5,7 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autoreg.camera import Camera
-from autoreg.rendering.depth_of_field import Focus, blur_px, defocused_ground, disc
+from autoreg.errors import InputError
+from autoreg.rendering.depth_of_field import Focus, assert_moderate, blur_px, defocused_ground, disc
 from autoreg.view import View, Window
 
 VIEW = View(CAMERA, POSE)
@@ -37,6 +38,30 @@ def test_a_point_in_focus_is_sharp_and_others_follow_the_thin_lens():
 
 def test_ground_without_a_shadow_stays_as_it_is():
     assert defocused_ground(np.ones((480, 640)), VIEW, WHOLE, AT_ORIGIN) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_wide_disc_is_made_with_few_samples_and_is_still_even():
+    weights = disc(1501.0, 1400.0)
+    assert weights.sum() == pytest.approx(1.0)
+    # An even ellipse of this size covers so many pixels.
+    assert weights[weights > 0].size == pytest.approx(np.pi / 4 * 1501 * 1400, rel=0.01)
+    assert weights.max() == pytest.approx(4 / (np.pi * 1501 * 1400), rel=0.01)
+
+
+def test_only_lenses_that_some_camera_may_have_are_drawn():
+    # The widest disc of ground in the picture is at one of its corners.
+    grid = np.stack(np.meshgrid(np.arange(0, 640, 3.0), np.arange(0, 480, 3.0)), -1)
+    ground = VIEW.ground_under(grid).reshape(-1, 2)
+    seen = np.c_[ground, np.zeros(len(ground))][np.isfinite(ground).all(1)]
+    for aperture_m, moderate in ((0.05, True), (1.0, True), (1.1, False), (1e9, False)):
+        focus = Focus(aperture_m, np.zeros(3))
+        widest = blur_px(VIEW, focus, seen).max()
+        assert (widest < 160) == moderate
+        if moderate:
+            assert_moderate(VIEW, focus, "it")
+        else:
+            with pytest.raises(InputError, match=r"it has an opening of \S+ mm.* wide, more than 160 "):
+                assert_moderate(VIEW, focus, "it")
 
 
 def test_the_line_in_focus_stays_sharp():

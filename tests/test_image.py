@@ -422,6 +422,13 @@ def test_views_with_strange_strides_are_accepted():
     np.testing.assert_array_equal(as_gray(array[::-1, ::2, ::-1]), as_gray(array[::-1, ::2, ::-1].copy()))
 
 
+def test_a_picture_of_floating_point_numbers_is_an_error_that_says_so(tmp_path):
+    path = tmp_path / "photo.tiff"
+    cv2.imwrite(str(path), np.full((20, 30), 0.5, np.float32))
+    with pytest.raises(InputError, match="pixels of float32; save it with 8 or 16 bits"):
+        load_photo(path)
+
+
 def test_the_name_of_a_file_is_an_error_that_says_how_to_load_it():
     with pytest.raises(ValueError, match=r"load_photo\(path\)\.gray"):
         as_gray(np.array("photo.jpg"))

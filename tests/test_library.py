@@ -1,21 +1,32 @@
-"""The walk through the stages in docs/library.md is run as it stands there."""
+"""What the documentation shows of the library is run as it stands there."""
 
 import re
 from pathlib import Path
 
+from autoreg.rendering import render
+
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "library.md"
+PAGE, RENDERING = ROOT / "docs" / "library.md", ROOT / "docs" / "rendering.md"
 
 
-def blocks():
-    return re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+def run_blocks(page):
+    names = {}
+    for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL):
+        exec(compile(block, str(page), "exec"), names)
+    return names
+
+
+def test_the_final_render_runs_by_itself(monkeypatch):
+    monkeypatch.chdir(ROOT / "fixtures")
+    monkeypatch.setattr(render, "find_povray", lambda: None)
+    made = run_blocks(RENDERING)["made"]
+    assert made.composite.shape == (900, 1200, 3)
+    assert (made.layer[..., 3] == 255).sum() > 1000
 
 
 def test_the_page_runs_from_top_to_bottom(monkeypatch):
     monkeypatch.chdir(ROOT / "fixtures")
-    names = {}
-    for block in blocks():
-        exec(compile(block, str(PAGE), "exec"), names)
+    names = run_blocks(PAGE)
     found, settled = names["found"], names["settled"]
     assert found.lattice.kind == "stack"
     assert names["paving"].grid.shift == 0

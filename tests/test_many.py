@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import inspect
 import json
 import pickle
 from dataclasses import replace
@@ -9,9 +10,18 @@ import cv2
 import pytest
 
 from autoreg.errors import InputError, Refusal
+from autoreg.jobs import many
 from autoreg.jobs.job import Job, demo_job
 from autoreg.jobs.many import run_jobs
 from autoreg.synthetic import SyntheticPhoto
+
+
+def with_values(job: Job, **values: object) -> Job:
+    """A copy of a job with values that its types forbid."""
+    changed = replace(job)
+    for name, value in values.items():
+        object.__setattr__(changed, name, value)
+    return changed
 
 
 def test_every_photo_ends_as_it_would_by_itself_and_in_order(tmp_path: Path, gravel_photo: SyntheticPhoto):
@@ -23,8 +33,16 @@ def test_every_photo_ends_as_it_would_by_itself_and_in_order(tmp_path: Path, gra
         replace(demo_job(tmp_path / "d", None), slab=(-1.0, 0.5)),
         Job(gravel, tmp_path / "c"),
     ]
-    absent, paved, negative, refused = run_jobs(jobs, processes=2)
-    assert [run.job for run in (absent, paved, negative, refused)] == jobs
+    # As a caller without type checks makes them.
+    jobs += [
+        with_values(replace(jobs[1], folder=tmp_path / "e"), crop=(0, 0, 10)),
+        with_values(jobs[1], folder=3),
+        with_values(jobs[1], folder=3),
+    ]
+    absent, paved, negative, refused, cropped, nowhere, _ = run_jobs(jobs, processes=2)
+    assert [run.job for run in (absent, paved, negative, refused, cropped, nowhere)] == jobs[:-1]
+    assert "crop of a job must be four whole numbers, or None, got (0, 0, 10)" in str(cropped.error)
+    assert "folder of a job must be a path, got 3" in str(nowhere.error)
     assert isinstance(negative.error, InputError)
     assert "slab" in str(negative.error)
     assert isinstance(absent.error, InputError)
@@ -37,6 +55,23 @@ def test_every_photo_ends_as_it_would_by_itself_and_in_order(tmp_path: Path, gra
     assert isinstance(refused.outcome.refusal, Refusal)
     told = [json.loads((tmp_path / f / "alignment.json").read_text())["status"] for f in "bc"]
     assert told == ["aligned", "refused"]
+
+
+def test_a_failure_that_nobody_foresaw_ends_one_run_and_no_other(monkeypatch, tmp_path: Path):
+    def broken(job, listener):
+        raise KeyError("lost")
+
+    monkeypatch.setattr(many, "run_job", broken)
+    run = many._run(demo_job(tmp_path, None))
+    assert "KeyError: 'lost'" in str(run.error)
+
+
+def test_texts_are_taken_for_paths():
+    job = with_values(demo_job(Path("x"), None), photo="photo.jpg", folder="out", camera="camera.json")
+    job.__post_init__()
+    assert (job.photo, job.folder, job.camera) == (Path("photo.jpg"), Path("out"), Path("camera.json"))
+    with pytest.raises(InputError, match="must be of type Job, got 'photo"):
+        inspect.unwrap(run_jobs)(["photo.jpg"])
 
 
 def test_nothing_is_begun_where_two_photos_would_share_a_folder(tmp_path: Path):

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from autoreg.errors import InputError
 from autoreg.jobs.options import parse_crop, parse_height, parse_slab
 
-sides = st.floats(1e-3, 1e3)
+sides = st.floats(1e-3, 100.0)
 
 
 @settings(deadline=None, derandomize=True)
@@ -27,6 +27,12 @@ def test_what_is_no_slab_is_an_input_error_that_quotes_it(text):
     assert repr(text) in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["1e-6", "1e-300", "0.6x1e-9", "1e300", "600x400"])
+def test_a_slab_that_nobody_lays_is_refused_with_the_limits(text):
+    with pytest.raises(InputError, match=r"--slab wants metres, 0\.001 to 100 .*got .* metres"):
+        parse_slab(text)
+
+
 def test_a_crop_is_four_whole_numbers():
     assert parse_crop("10, 20,300,400") == (10, 20, 300, 400)
 
@@ -37,7 +43,8 @@ def test_what_is_no_crop_is_an_input_error(text):
         parse_crop(text)
 
 
-@pytest.mark.parametrize("value", [0.0, -1.5, float("nan"), float("inf")])
-def test_a_height_is_positive(value):
-    with pytest.raises(InputError, match="--camera-height"):
+@pytest.mark.parametrize("value", [0.0, -1.5, float("nan"), float("inf"), 1e-6, 1e-300, 1e300])
+def test_a_height_is_one_that_a_camera_may_have(value):
+    with pytest.raises(InputError, match=r"--camera-height wants metres .* 0\.01 to 10000, .*got .* metres"):
         parse_height(value)
+    assert parse_height(1.55) == 1.55

@@ -27,7 +27,17 @@ from autoreg.rendering import povray
 from autoreg.rendering.check import check_render
 from autoreg.rendering.depth_of_field import Focus, blur_px
 from autoreg.rendering.layer import Layer, linear_from_srgb
-from autoreg.rendering.objects import FINISHES, Light, Material, Object, OnSlab, Scene, Sphere, UnderPixel
+from autoreg.rendering.objects import (
+    FINISHES,
+    Box,
+    Light,
+    Material,
+    Object,
+    OnSlab,
+    Scene,
+    Sphere,
+    UnderPixel,
+)
 from autoreg.rendering.povray import find_povray, run_povray
 from autoreg.rendering.povray_engine import PovrayEngine
 from autoreg.rendering.preview import PreviewEngine
@@ -55,6 +65,25 @@ def random_view(rng):
     camera = Camera(400, 300, fx, fx * rng.uniform(0.8, 1.2), *centre, dist)
     eye = [*rng.uniform(-2, 2, 2), rng.uniform(1.0, 2.5)]
     return View(camera, looking(eye, [*rng.uniform(-0.4, 0.4, 2), 0.0], rng.uniform(-0.4, 0.4)))
+
+
+@needs_povray
+def test_a_picture_is_opaque_and_does_not_begin_with_its_other_edge(tmp_path):
+    picture = np.full((8, 8, 4), 255, np.uint8)
+    picture[:, :4, :3] = 0
+    picture[..., 3] = 0
+    cv2.imwrite(str(tmp_path / "half.png"), picture)
+    box = Object("box", Box((0.6, 0.2, 0.4)), OnSlab(0, 0), Material(image=tmp_path / "half.png"))
+    facing = looking([0.3, -3.0, 0.3], [0.3, 0.2, 0.2])
+    plan = plan_for(Scene((box,), Light(sky=1.0, exposure=0.8)), alignment(pose=facing))
+    layer = engine(tmp_path).draw(plan, Window(0, 0, CAMERA.width, CAMERA.height))
+    corners = plan.view.project(np.array([[0.0, 0.1, 0.2], [0.6, 0.1, 0.2]]))
+    (left, row), (right, _) = np.round(corners).astype(int)
+    across = layer.light[row, left + 3 : right - 3, 1]
+    assert (layer.transmission[row, left + 3 : right - 3] < 0.01).all()
+    # Dark from its left edge on, and bright to its right one.
+    assert across[:10].max() < 0.01
+    assert across[-10:].min() > 0.9 * across.max() > 0.1
 
 
 @needs_povray

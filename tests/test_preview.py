@@ -4,7 +4,7 @@ import pytest
 from handmade import CAMERA, POSE, STACK, alignment, distorted, photo_for, plan_for
 
 from autoreg.rendering.objects import Box, Light, Material, Object, OnSlab, Scene, Sphere
-from autoreg.rendering.preview import PreviewEngine
+from autoreg.rendering.preview import PreviewEngine, _looked_up
 from autoreg.rendering.render import render, staged_window
 from autoreg.view import View, Window
 
@@ -76,6 +76,12 @@ def test_the_nearer_object_hides_the_farther_one_whatever_their_order():
     # Single pixels along its outline show both.
     inside = cv2.erode((drawn(near)[1].light[..., 0] > 0).astype(np.uint8), np.ones((3, 3))) > 0
     assert not (green & inside).any()
+
+
+def test_a_picture_shows_its_own_edges_and_is_repeated_beyond_them():
+    image = np.arange(8.0).reshape(2, 4, 1) * [1.0, 1.0, 1.0]
+    uv = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0], [1.1, 0.9], [-0.1, -0.9]])
+    assert _looked_up(image, uv)[:, 0].tolist() == [0, 3, 7, 4, 0, 7]
 
 
 def test_lines_lie_on_the_joints():

@@ -1,20 +1,28 @@
 import hashlib
+import inspect
 import json
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from handmade import CAMERA, ROWS, RUNNING, STACK, alignment, distorted, photo_for, shadow_of
+from handmade import CAMERA, ROWS, RUNNING, STACK, alignment, distorted, photo_for, plan_for, shadow_of
 from PIL import Image
 from typer.testing import CliRunner
 
 from autoreg.command.cli import app
+from autoreg.command.cli_render import _completed
 from autoreg.errors import InputError, RenderError
 from autoreg.jobs import render_job
 from autoreg.jobs.alignment_file import read_alignment
 from autoreg.jobs.options import parse_lens, parse_sun
 from autoreg.jobs.report import aligned_report, report_text
+from autoreg.rendering.objects import Scene
+from autoreg.rendering.preview import PreviewEngine
+from autoreg.rendering.render import plan_render, render
+from autoreg.rendering.staging import stage
+from autoreg.view import View
 
 WISH = render_job.Wish()
 BALL = '[[object]]\nshape = "sphere"\nradius = 0.2\nslab = [0, 0]\n'
@@ -191,12 +199,70 @@ def test_another_photo_of_the_same_name_is_not_taken_for_the_aligned_one(folder,
     cv2.imwrite("elsewhere/photo.png", 255 - photo_for(CAMERA))
     monkeypatch.chdir("elsewhere")
     wanted = read_alignment(Path("../out/alignment.json"))
-    path, colour = render_job._photo_of(render_job.RenderJob(Path("../out/alignment.json"), WISH), wanted)
+    path, found = render_job._photo_of(render_job.RenderJob(Path("../out/alignment.json"), WISH), wanted)
     assert path.samefile(folder / "photo.png")
-    assert (colour == photo_for(CAMERA)).all()
+    assert (found.colour() == photo_for(CAMERA)).all()
     (folder / "photo.png").unlink()
     with pytest.raises(InputError, match=r"not the photo that was aligned.*--photo"):
         render_job._photo_of(render_job.RenderJob(Path("../out/alignment.json"), WISH), wanted)
+
+
+def test_the_report_names_the_photo_that_is_shown_and_a_note_says_that_it_is_another(folder):
+    digest = hashlib.sha256(Path("photo.png").read_bytes()).hexdigest()
+    report = aligned_report(Path("photo.png"), alignment(), None, sha256=digest)
+    Path("out/alignment.json").write_text(report_text(report))
+    Path("moved.png").write_bytes(Path("photo.png").read_bytes())
+    done = run("--photo", "moved.png")
+    image = json.loads(Path("out/alignment.json").read_text())["image"]
+    assert (image["path"], image["sha256"]) == ("moved.png", digest)
+    assert "byte for byte" not in done.stderr
+    cv2.imwrite("other.png", 255 - photo_for(CAMERA))
+    done = run("--photo", "other.png")
+    assert "note: other.png is not, byte for byte, the photo that was aligned" in done.stderr
+    image = json.loads(Path("out/alignment.json").read_text())["image"]
+    assert image["path"] == "other.png"
+    assert image["sha256"] == hashlib.sha256(Path("other.png").read_bytes()).hexdigest()
+    assert (image["width"], image["height"]) == (640, 480)
+
+
+def test_a_folder_in_the_way_of_a_result_is_named_before_anything_is_written(folder):
+    Path("out/scene.pov").mkdir()
+    before = {p.name for p in Path("out").iterdir()}
+    done = run()
+    assert done.exit_code == 2
+    assert "the folder out/scene.pov is in the way" in done.stderr
+    assert {p.name for p in Path("out").iterdir()} == before
+
+
+@pytest.mark.parametrize("lens", ["1e-9,24", "0.1,1000", "1e-300,24", "1e-320"])
+def test_a_lens_that_would_blur_all_is_refused_with_the_width_of_its_discs(folder, lens):
+    done = run("--dof", lens if "," in lens else f"{lens},24")
+    assert done.exit_code == 2
+    assert re.search(r"discs of blur up to (\S+ pixels wide|inf).*more than 160 ", done.stderr)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update({0x829D: 0.001, 0x920A: 24.0})
+    Image.fromarray(photo_for()[..., ::-1]).save("photo.png", "JPEG", exif=exif)
+    assert "24 mm at f/0.001" in run("--dof").stderr
+
+
+@pytest.mark.parametrize(("text", "aperture"), [(".5,24", "0.048"), ("f/2,24", "0.012"), ("F/4,24", "0.006")])
+def test_an_f_number_may_be_written_as_on_a_lens(folder, text, aperture):
+    for options in (["--dof", text], [f"--dof={text}"]):
+        assert run("--scene", "scene.toml", *options).exit_code == 0
+        assert f"#declare Aperture = {aperture};" in Path("out/scene.pov").read_text()
+
+
+def test_what_follows_the_bare_option_is_the_next_argument():
+    assert _completed(["--dof", "exif", "x"]) == ["--dof=exif", "exif", "x"]
+    assert _completed(["--dof", "f/photo.jpg"]) == ["--dof=exif", "f/photo.jpg"]
+    assert _completed(["--dof", "-1", "--", "--dof"]) == ["--dof=-1", "--", "--dof"]
+    assert _completed(["--lines", "--dof"]) == ["--lines", "--dof=exif"]
+
+
+def test_a_negative_f_number_is_answered_and_not_taken_for_an_option(folder):
+    done = run("--dof", "-1,24")
+    assert done.exit_code == 2
+    assert "--dof wants an f-number" in done.stderr
 
 
 def test_a_photo_among_the_results_is_not_painted_over(folder):
@@ -234,6 +300,19 @@ def test_a_damaged_alignment_is_said_to_be(folder, where, value):
     done = run()
     assert done.exit_code == 2
     assert "damaged" in done.stderr
+
+
+@pytest.mark.parametrize("wrong", [photo_for()[..., 0], photo_for() / 255.0, photo_for()[..., [0, 1, 2, 2]]])
+def test_a_picture_that_is_not_in_colour_is_said_to_be_none(wrong):
+    plan, view = plan_for(), View(CAMERA, alignment().pose.cam_from_ground)
+    calls = (
+        lambda: inspect.unwrap(stage)(Scene(), view, STACK, wrong),
+        lambda: inspect.unwrap(plan_render)(alignment(), plan.staging, wrong),
+        lambda: inspect.unwrap(render)(PreviewEngine(), plan, wrong),
+    )
+    for call in calls:
+        with pytest.raises(ValueError, match=r"photo must be in colour.*load_photo\(path\).colour\(\)"):
+            call()
 
 
 REFUSED = '{"schema_version": 1, "status": "refused", "reason": "gravel"}'

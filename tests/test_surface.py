@@ -112,6 +112,72 @@ def test_a_meshs_own_normals_are_kept_and_else_its_triangles_are_flat(tmp_path):
         assert (np.abs(normals[:, 0] - normals[:, 1]).max() > 0.01) == spread
 
 
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+
+
+def obj(path, text):
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_mesh(path)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        f"# Stra\u00dfe\no K\u00f6rper\n{TRIANGLE}f 1 2 3\n".encode("latin-1"),
+        f"# Stra\u00dfe\r\n{TRIANGLE}f 1 2 3\r\n".encode("utf-16"),
+        f"\ufeffmtllib no.mtl\n{TRIANGLE}f 1 2 3".encode(),
+        f"{TRIANGLE}f\t1 \\\n 2 3  # a face".encode(),
+        f"  {TRIANGLE}l 1 2\nusemtl x\nf -3 -2 -1\nv 5 5 5\n".encode(),
+        b"v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nvt 0.5\nvn 0 0 2\nf 1/1/1 2/1/1 3/1/1",
+    ],
+    ids=["latin-1", "utf-16", "utf-8 with a mark", "continued", "counted back", "with more numbers"],
+)
+def test_an_obj_file_is_read_however_it_is_written(tmp_path, data):
+    surface = obj(tmp_path / "a.obj", data)
+    assert surface.corners.tolist() == [[[0, 0, 0], [1, 0, 0], [0, 1, 0]]]
+    assert surface.normals.tolist() == [[[0, 0, 1]] * 3]
+
+
+def test_polygons_of_an_obj_file_become_triangles_with_their_texture(tmp_path):
+    text = TRIANGLE + "v -1 1 0\nv -1 0 0\nvt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3 4/3 5/1\nf 1/1 3/2 2/3\n"
+    surface = obj(tmp_path / "a.obj", text)
+    assert surface.corners[:, 1:, :2].tolist() == [
+        [[1, 0], [0, 1]], [[0, 1], [-1, 1]], [[-1, 1], [-1, 0]], [[0, 1], [1, 0]]
+    ]  # fmt: skip
+    assert surface.uv[0].tolist() == [[0, 0], [1, 0], [1, 1]]
+    assert obj(tmp_path / "b.obj", text + "f 1 2 3\n").uv is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (TRIANGLE, "3 vertices and no faces"),
+        (TRIANGLE + "l 1 2 3", "3 vertices and no faces"),
+        ("nothing", "0 vertices and no faces"),
+        (TRIANGLE + "f 1 2 9", "line 4: the face has v number 9, and the file holds 3"),
+        (TRIANGLE + "f 1/7 2/7 3/7", "line 4: the face has vt number 7, and the file holds 0"),
+        (TRIANGLE + "f 0 1 2", "line 4: 'f 0 1 2' is damaged .*counted from 1"),
+        (TRIANGLE + "f -1 -2 -9", "line 4: .*counts 9 back, and only 3"),
+        (TRIANGLE + "f 1 2", "line 4: .*three corners"),
+        (TRIANGLE + "f a b c", "line 4: 'f a b c'"),
+        (TRIANGLE + "f /1 /2 /3", "line 4: .*no number"),
+        ("v 0 nan 0\n", "line 1: 'v 0 nan 0' is damaged .*3 numbers within 1e"),
+        ("v 0 1e300 0\n", r"line 1: .*3 numbers within 1e\+09"),
+        ("v 0 1\n", "line 1: .*3 numbers"),
+        (b"\x7fELF\0\0\1" * 9, "binary data and no OBJ text"),
+    ],
+)
+def test_what_is_odd_in_an_obj_file_is_named_with_its_line(tmp_path, text, words):
+    with pytest.raises(ValueError, match=words) as caught:
+        obj(tmp_path / "odd.obj", text)
+    assert "save it as OBJ" not in str(caught.value)
+
+
+def test_a_mesh_file_without_an_ending_says_so(tmp_path):
+    with pytest.raises(ValueError, match="no ending that says its format"):
+        obj(tmp_path / "mesh", TRIANGLE)
+
+
 def test_a_triangle_cut_by_a_plane_keeps_the_area_on_its_side():
     triangle = np.array([[[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [0.0, 2.0, 1.0]]])
     for plane, area in (([1.0, 0.0, 0.0, -1.0], 0.5), ([-1.0, 0.0, 0.0, 1.0], 1.5)):
@@ -142,6 +208,15 @@ def test_the_z_buffer_agrees_with_rays_through_every_pixel():
     expected = np.where(np.isfinite(t.min(1)), t.argmin(1), -1)
     assert (expected >= 0).sum() > 150
     assert (buffer.nearest[v, u] != expected).mean() < 0.003
+
+
+def test_pictures_are_inset_by_half_a_pixel_where_they_are_not_repeated():
+    corners = np.zeros((2, 3, 3))
+    uv = np.array([[[0.0, 0.0], [1.00001, 0.5], [0.3, 1.0]], [[0.0, 0.0], [2.0, 0.0], [0.5, 1.0]]])
+    found = Surface(corners, corners, uv).inset(8, 4).uv
+    assert found[0].tolist() == [[1 / 16, 1 / 8], [15 / 16, 0.5], [0.3, 7 / 8]]
+    assert (found[1] == uv[1]).all()
+    assert Surface(corners, corners).inset(8, 4).uv is None
 
 
 def test_a_flat_mesh_has_no_height_to_scale():

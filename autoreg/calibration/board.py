@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral, Real
 from typing import Literal
 
 import cv2
@@ -46,6 +48,10 @@ class Board:
     marker: float = DEFAULT_MARKER
 
     def __post_init__(self) -> None:
+        for name in ("columns", "rows", "square", "marker"):
+            value = getattr(self, name)
+            if not isinstance(value, Real):
+                raise ValueError(f"{name} must be a number, such as square=0.025 (metres), got {value!r}")
         for name in ("columns", "rows"):
             if not MIN_CORNERS <= getattr(self, name) <= MAX_CORNERS:
                 raise InputError(
@@ -123,12 +129,17 @@ class BoardView:
     corners_px: Float[np.ndarray, "n 2"]
 
 
-def parse_pattern(text: str) -> tuple[int, int] | None:
-    """Inner corners along a row and a column from a text such as 9x6; None for "auto".
+def parse_pattern(text: object) -> tuple[int, int] | None:
+    """Inner corners along a row and a column from a text such as 9x6, or the two numbers; None for "auto".
 
     Raises:
-        InputError: the text is neither.
+        InputError: the text is neither, or no board has so many.
+        ValueError: it is no text and no two whole numbers.
     """
+    if not isinstance(text, str):
+        if not isinstance(text, Sequence) or len(text) != 2 or not all(isinstance(n, Integral) for n in text):
+            raise ValueError(f'pattern must be text such as "9x6", or (9, 6), got {text!r}')
+        return parse_pattern(f"{text[0]}x{text[1]}")
     if text.strip().lower() == "auto":
         return None
     match = re.fullmatch(r"\s*(\d{1,3})\s*[xX×,]\s*(\d{1,3})\s*", text)

@@ -65,9 +65,12 @@ def sources_of(photos: str | Path | Iterable[Source]) -> list[Source]:
 
     Raises:
         InputError: there are none.
+        ValueError: it is nothing of these.
     """
     if isinstance(photos, (str, Path)):
         return list(photo_files([photos]))
+    if not isinstance(photos, Iterable):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(f"photos must be a glob pattern, a folder, or files or pictures, got {photos!r}")
     sources: list[Source] = []
     for photo in photos:
         sources += [photo] if isinstance(photo, np.ndarray) else photo_files([photo])

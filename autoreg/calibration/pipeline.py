@@ -42,7 +42,7 @@ from autoreg.errors import InputError, Refusal
 
 def calibrate(
     photos: str | Path | Iterable[Source],
-    pattern: str = "auto",
+    pattern: str | tuple[int, int] = "auto",
     *,
     square: float | None = None,
     charuco: bool = False,
@@ -56,7 +56,7 @@ def calibrate(
 
     Args:
         photos: a glob pattern, a folder, or files or pictures (grey or BGR arrays).
-        pattern: inner corners along a row x along a column, such as "9x6", or "auto".
+        pattern: inner corners along a row x along a column, such as "9x6" or (9, 6), or "auto".
         square: side of a square in metres, if known; it changes no intrinsic.
         charuco: whether the white squares hold ArUco markers.
         dictionary: the markers' dictionary.
@@ -66,6 +66,7 @@ def calibrate(
         workers: photos searched at once.
 
     Raises:
+        ValueError: an argument is of the wrong kind.
         InputError: the photos cannot be used: missing, no board in them, of several cameras.
         Refusal: the views do not determine a camera.
     """
@@ -222,7 +223,7 @@ def _sifted(
 
 def _board(
     sources: Sequence[Source],
-    pattern: str,
+    pattern: str | tuple[int, int],
     square: float | None,
     charuco: bool,
     dictionary: str,

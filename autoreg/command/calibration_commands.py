@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from autoreg.command.cli_messages import hand_over, tell
+from autoreg.command.cli_render import path_named
 from autoreg.errors import InputError, Refusal
 
 if TYPE_CHECKING:
@@ -50,10 +51,14 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
             typer.Option(metavar="METRES", help="Side of a square; changes no result but the record."),
         ] = None,
         output: Annotated[
-            Path, typer.Option("-o", "--output", metavar="FILE", help="The camera file.")
+            Path,
+            typer.Option("-o", "--output", parser=path_named("-o"), metavar="FILE", help="The camera file."),
         ] = Path("camera.json"),
         report: Annotated[
-            Path | None, typer.Option(metavar="DIR", help="Folder for a report with plots.")
+            Path | None,
+            typer.Option(
+                parser=path_named("--report"), metavar="DIR", help="Folder for a report with plots."
+            ),
         ] = None,
         sheet: Annotated[
             Literal["flat", "bent"], typer.Option(help="bent: estimate the sheet's shape with the camera.")
@@ -73,9 +78,17 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
 
     @app.command()
     def inspect(  # pyright: ignore[reportUnusedFunction]
-        camera: Annotated[Path, typer.Argument(help="A camera file in any known format.")],
+        camera: Annotated[
+            Path,
+            typer.Argument(parser=path_named("CAMERA"), help="A camera file in any known format."),
+        ],
         photo: Annotated[
-            Path | None, typer.Option(metavar="FILE", help="A photo that the camera is said to have taken.")
+            Path | None,
+            typer.Option(
+                parser=path_named("--photo"),
+                metavar="FILE",
+                help="A photo that the camera is said to have taken.",
+            ),
         ] = None,
         as_json: Annotated[
             bool, typer.Option("--json", help="Print the findings as JSON on stdout.")
@@ -99,7 +112,10 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
         ] = "9x6",
         square: Annotated[float, typer.Option(metavar="METRES", help="Side of a square.")] = 0.025,
         output: Annotated[
-            Path | None, typer.Option("-o", "--output", metavar="FILE", help="A .pdf or .svg file.")
+            Path | None,
+            typer.Option(
+                "-o", "--output", parser=path_named("-o"), metavar="FILE", help="A .pdf or .svg file."
+            ),
         ] = None,
         charuco: _Charuco = False,
         dictionary: _Dictionary = _DEFAULT_DICTIONARY,
@@ -155,11 +171,11 @@ def _calibrate(
     written = list(write_camera_files(found, output, autoreg.__version__))
     if report is not None:
         written += write_report(found, report, autoreg.__version__)[:1]
-    if as_json:
-        hand_over(output.read_text(encoding="utf-8"))
     tell(summary(found))
     for path in written:
         tell(f"wrote {path}")
+    if as_json:
+        hand_over(output.read_text(encoding="utf-8"), output.parent)
     if found.verdict.grade == "do not use":
         raise typer.Exit(Refusal.exit_code)
 

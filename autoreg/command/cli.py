@@ -24,6 +24,7 @@ from autoreg.command.cli_render import (
     SunOption,
     TimeoutOption,
     parse_wish,
+    path_named,
 )
 from autoreg.errors import AutoregError, InputError
 from autoreg.jobs.options import parse_crop, parse_height, parse_slab
@@ -43,15 +44,26 @@ app = typer.Typer(
 )
 
 _FolderOption = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of results.")
+    Path | None,
+    typer.Option("-o", "--output", parser=path_named("-o"), metavar="DIR", help="Folder of results."),
 ]
 
 
 @app.command("align", cls=OptionalValues)
 def align_command(
-    photo: Annotated[Path, typer.Argument(help="The photo; put -- before a name that begins with -.")],
+    photo: Annotated[
+        Path,
+        typer.Argument(
+            parser=path_named("PHOTO"), help="The photo; put -- before a name that begins with -."
+        ),
+    ],
     camera: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Camera: own JSON, OpenCV or ROS YAML, COLMAP.")
+        Path | None,
+        typer.Option(
+            parser=path_named("--camera"),
+            metavar="FILE",
+            help="Camera: own JSON, OpenCV or ROS YAML, COLMAP.",
+        ),
     ] = None,
     crop: Annotated[
         str | None, typer.Option(metavar="X,Y,W,H", help="Part of the calibrated frame that the photo shows.")
@@ -109,7 +121,10 @@ def align_command(
 
 @app.command("render", cls=OptionalValues)
 def render_command(
-    alignment: Annotated[Path, typer.Argument(help="The alignment.json of an aligned photo.")],
+    alignment: Annotated[
+        Path,
+        typer.Argument(parser=path_named("ALIGNMENT"), help="The alignment.json of an aligned photo."),
+    ],
     scene: SceneOption = None,
     demo_object: DemoOption = False,
     sun: SunOption = None,
@@ -117,10 +132,16 @@ def render_command(
     dof: DofOption = None,
     engine: EngineOption = None,
     photo: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The photo, if it is no longer where it was.")
+        Path | None,
+        typer.Option(
+            parser=path_named("--photo"), metavar="FILE", help="The photo, if it is no longer where it was."
+        ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder, else ALIGNMENT's.")
+        Path | None,
+        typer.Option(
+            "-o", "--output", parser=path_named("-o"), metavar="DIR", help="Folder, else ALIGNMENT's."
+        ),
     ] = None,
     timeout: TimeoutOption = 1800.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print alignment.json on stdout.")] = False,
@@ -137,15 +158,16 @@ def render_command(
         job = RenderJob(alignment, wish, engine or "auto", photo, output)
         with listener_on_stderr() as listener:
             outcome = run_render(job, listener.doing, listener.progress, listener.note)
-        if as_json:
-            from autoreg.jobs.report import report_text
-
-            hand_over(report_text(outcome.report))
         for path in outcome.written:
             tell(f"wrote {path}")
         tell_check(outcome.report)
         if outcome.error is not None:
             tell(f"error: the render failed: {outcome.error}")
+        if as_json:
+            from autoreg.jobs.report import report_text
+
+            hand_over(report_text(outcome.report), outcome.written[-1].parent)
+        if outcome.error is not None:
             raise typer.Exit(outcome.error.exit_code)
 
 
@@ -230,9 +252,9 @@ def _run(job: Job, *, as_json: bool) -> None:
 
     with listener_on_stderr() as listener:
         outcome = run_job(job, listener)
-    if as_json:
-        hand_over(report_text(outcome.report))
     tell_outcome(outcome)
+    if as_json:
+        hand_over(report_text(outcome.report), job.folder)
     failure = outcome.refusal or outcome.render_error
     if failure is not None:
         raise typer.Exit(failure.exit_code)

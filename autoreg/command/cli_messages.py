@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from autoreg.errors import InputError
 
 if TYPE_CHECKING:
     from autoreg.alignment import Alignment
@@ -21,9 +25,24 @@ def tell(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def hand_over(text: str) -> None:
-    """What was asked for on stdout, with its own line ends; nothing where stdout is closed (`>&-`)."""
-    print(text, end="")
+def hand_over(text: str, place: Path | None = None) -> None:
+    """What was asked for on stdout, with its own line ends; nothing where stdout is closed (`>&-`).
+
+    Args:
+        text: what was asked for.
+        place: the folder in which it stands besides.
+
+    Raises:
+        InputError: stdout takes nothing, because its disk is full or its reader has gone.
+    """
+    try:
+        print(text, end="", flush=True)
+    except OSError as error:
+        # What stdout still holds would fail again when the process ends.
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        elsewhere = "" if place is None else f"; the results are in {place}"
+        raise InputError(f"stdout cannot be written: {error.strerror or error}{elsewhere}") from error
 
 
 def tell_outcome(outcome: Outcome) -> None:

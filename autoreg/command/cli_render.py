@@ -1,7 +1,9 @@
-"""The options of the final render, which two commands share."""
+"""Options that several commands share: files and folders, and those of the final render."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,11 +17,28 @@ if TYPE_CHECKING:
 
 Engine = Literal["auto", "povray", "preview"]
 
+
+def path_named(option: str) -> Callable[[str | Path], Path]:
+    """What reads the path of an option, or its default; an empty one would be the working folder."""
+
+    def read(text: str | Path) -> Path:
+        if not str(text).strip():
+            raise typer.BadParameter(f"{option} is empty; give a path (is a variable of the shell unset?)")
+        return Path(text)
+
+    return read
+
+
 EngineOption = Annotated[
     Engine | None, typer.Option(help="What renders: auto is POV-Ray if installed, else the preview.")
 ]
 SceneOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="What stands on the paving, in TOML (docs/rendering.md).")
+    Path | None,
+    typer.Option(
+        parser=path_named("--scene"),
+        metavar="FILE",
+        help="What stands on the paving, in TOML (docs/rendering.md).",
+    ),
 ]
 DemoOption = Annotated[bool, typer.Option("--demo-object", help="Put demo objects onto the paving.")]
 SunOption = Annotated[
@@ -36,6 +55,10 @@ TimeoutOption = Annotated[
 ]
 
 
+# What begins like a number is the value of --dof; anything else is the next option, or a file.
+_LENS = re.compile(r"[-+]?\.?\d.*|[fF]/\.?\d[\d.,]*")
+
+
 class OptionalValues(TyperCommand):
     """A command whose --dof may stand without a value, which its parser does not know."""
 
@@ -45,14 +68,19 @@ class OptionalValues(TyperCommand):
 
 
 def _completed(args: list[str]) -> list[str]:
+    """The arguments with --dof and its value in one word: one with a sign would be taken for an option."""
     done: list[str] = []
-    for n, word in enumerate(args):
+    numbers = iter(range(len(args)))
+    for n in numbers:
+        word, following = args[n], args[n + 1] if n + 1 < len(args) else ""
         if word == "--":
             return [*done, *args[n:]]
-        following = args[n + 1] if n + 1 < len(args) else ""
-        # A value begins with a digit; anything else is the next option, or a file.
-        bare = word == "--dof" and not following[:1].isdigit()
-        done.append(f"--dof={EXIF}" if bare else word)
+        if word == "--dof":
+            has_value = _LENS.fullmatch(following) is not None
+            word = f"--dof={following if has_value else EXIF}"
+            if has_value:
+                next(numbers)
+        done.append(word)
     return done
 
 

@@ -30,20 +30,35 @@ def scalar(fields: Mapping[str, object], names: tuple[str, ...]) -> tuple[str, f
 
 
 def array(fields: Mapping[str, object], names: tuple[str, ...]) -> tuple[str, np.ndarray]:
-    """A key and its numbers: a matrix as rows, cols and data (OpenCV's and ROS's), or a plain list."""
+    """A key and its numbers: a shape and data (OpenCV's and ROS's matrices), or a plain list."""
     key, value = _required(fields, names)
     if not isinstance(value, Mapping):
         return key, np.array(numbers(key, value))
     entries: Mapping[str, object] = value
-    for part in ("rows", "cols", "data"):
-        if part not in entries:
-            raise InputError(f"key {key!r} has no {part!r}; add it")
-    rows = whole(f"{key}.rows", number(f"{key}.rows", entries["rows"]), 0)
-    cols = whole(f"{key}.cols", number(f"{key}.cols", entries["cols"]), 0)
-    data = np.array(numbers(f"{key}.data", entries["data"]))
-    if data.size != rows * cols:
-        raise InputError(f"key {key!r} says {rows} x {cols} but its data has {data.size} numbers; correct it")
-    return key, data.reshape(rows, cols)
+    shape = _shape(key, entries)
+    data = np.array(numbers(f"{key}.data", _part(key, entries, "data")))
+    if data.size != math.prod(shape):
+        said = " x ".join(map(str, shape))
+        raise InputError(f"key {key!r} says {said} but its data has {data.size} numbers; correct it")
+    return key, data.reshape(shape)
+
+
+def _shape(key: str, entries: Mapping[str, object]) -> tuple[int, ...]:
+    """The shape that a matrix says of itself: rows and cols, or sizes where it has not two dimensions."""
+    if "sizes" in entries:
+        sizes = numbers(f"{key}.sizes", entries["sizes"])
+        return tuple(whole(f"{key}.sizes", size, 0) for size in sizes)
+    rows, cols = (
+        whole(f"{key}.{side}", number(f"{key}.{side}", _part(key, entries, side)), 0)
+        for side in ("rows", "cols")
+    )
+    return rows, cols
+
+
+def _part(key: str, entries: Mapping[str, object], part: str) -> object:
+    if part not in entries:
+        raise InputError(f"key {key!r} has no {part!r}; add it")
+    return entries[part]
 
 
 def distortion(key: str, coefficients: np.ndarray) -> tuple[float, ...]:

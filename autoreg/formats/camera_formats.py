@@ -24,12 +24,19 @@ _WIDTH = ("image_width", "width")
 _HEIGHT = ("image_height", "height")
 _SIZE = ("cameraresolution",)
 _MATRIX = ("camera_matrix", "cameramatrix", "k")
-_DIST = ("distortion_coefficients", "dist_coeffs", "d")
-_MODEL = ("distortion_model", "camera_model")
-_FISHEYE = ("fisheye_model",)
+_DIST = ("distortion_coefficients", "dist_coeffs", "dist", "d")
+_MODELS = (("distortion_model",), ("camera_model",))
+_FISHEYE = ("fisheye_model", "fisheye")
+_SKEW = ("skew",)
 # The part of the calibrated frame that ROS's pictures show. Those that are binned have all of it, scaled.
 _REGION = ("roi",)
-_PLAIN_MODELS = ("", "plumb_bob", "rational_polynomial", "pinhole")
+_PLAIN_MODELS = ("", "none", "plumb_bob", "radtan", "rational", "rational_polynomial", "pinhole", "opencv")
+# What a plain "model" of autoreg's own files names, which may be the make of the camera as well as its lens.
+_OTHER_LENSES = re.compile(
+    "fisheye|equidistant|equisolid|stereographic|orthographic|omni|kannala|mei|ucm|unified|double.?sphere|"
+    "thin.?prism|division|fov",
+    re.IGNORECASE,
+)
 
 # Names of COLMAP's parameters per model, in the order of the file.
 _COLMAP_MODELS = {
@@ -81,6 +88,9 @@ def _from_json(text: str) -> Camera:
     for name in names[:-1]:
         if isinstance(fields[name], bool) or not isinstance(fields[name], (int, float)):
             raise InputError(f"key {name!r} must be a number, got {shown(fields[name])}; correct it")
+    _refuse_other_models(fields)
+    if _OTHER_LENSES.search(str(fields.get("model"))):
+        raise _other_model("model", str(fields["model"]))
     width, height, fx, fy, cx, cy = (number(name, fields[name]) for name in names[:-1])
     if not isinstance(fields["dist"], list):
         raise InputError(f"key 'dist' must be a list of numbers, got {shown(fields['dist'])}; correct it")
@@ -103,7 +113,7 @@ def _xml_value(element: ElementTree.Element) -> object:
     """A matrix as the mapping that YAML and JSON have for it, several words as a list, one word as it is."""
     parts = {child.tag: (child.text or "").split() for child in element}
     if parts:
-        return {tag: words if tag == "data" else " ".join(words) for tag, words in parts.items()}
+        return {tag: words if tag in ("data", "sizes") else " ".join(words) for tag, words in parts.items()}
     words = (element.text or "").split()
     return words[0] if len(words) == 1 else words
 
@@ -149,16 +159,27 @@ def _from_fields(fields: Mapping[str, object]) -> Camera:
 
 
 def _refuse_other_models(fields: Mapping[str, object]) -> None:
-    found = find(fields, _MODEL)
-    model = "" if found is None or fields[found] is None else str(fields[found]).strip()
+    """Refuse a camera of which a key says what Camera cannot hold."""
     fisheye = find(fields, _FISHEYE)
-    if fisheye is not None and str(fields[fisheye]) != "0":
-        found, model = fisheye, "fisheye"
-    if model.lower() not in _PLAIN_MODELS:
+    if fisheye is not None and str(fields[fisheye]).lower() not in ("0", "false", "none"):
+        raise _other_model(fisheye, "fisheye")
+    for names in _MODELS:
+        found = find(fields, names)
+        model = "" if found is None or fields[found] is None else str(fields[found]).strip()
+        if found is not None and model.lower() not in _PLAIN_MODELS:
+            raise _other_model(found, model)
+    skew = find(fields, _SKEW)
+    if skew is not None and fields[skew] is not None and number(f"key {skew!r}", fields[skew]) != 0:
         raise InputError(
-            f"{found} is {model!r}, which is not supported; calibrate with plumb_bob or rational_polynomial, "
-            "or undistort the photo and give its pinhole camera"
+            f"key {skew!r} is {shown(fields[skew])}, and skew is not supported; calibrate without it"
         )
+
+
+def _other_model(key: str, model: str) -> InputError:
+    return InputError(
+        f"{key} is {shown(model)}, which is not supported; calibrate with plumb_bob or rational_polynomial, "
+        "or undistort the photo and give its pinhole camera"
+    )
 
 
 def _refuse_region(fields: Mapping[str, object], width: int, height: int) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -69,6 +70,34 @@ def read_alignment(path: Path) -> SavedAlignment:
         raise InputError(
             f"{path} is damaged ({type(error).__name__}: {error}); align the photo anew"
         ) from error
+
+
+def aligned_photo(alignment: Path, saved: SavedAlignment) -> Path:
+    """The photo that was aligned, by its path in the report: from here, or from beside the report.
+
+    Raises:
+        InputError: it is not there, or what is there is another picture of that name.
+    """
+    beside = alignment.parent
+    places = (saved.photo, beside / saved.photo, beside.parent / saved.photo.name)
+    found = [place for place in places if place.is_file()]
+    if not found:
+        raise InputError(f"the photo {saved.photo} is not there any more; say where it is with --photo")
+    if saved.sha256 is None:
+        return found[0]
+    for place in found:
+        if hashlib.sha256(place.read_bytes()).hexdigest() == saved.sha256:
+            return place
+    raise InputError(
+        f"{found[0]} is not the photo that was aligned, or it has been changed since; give the one that is "
+        "meant with --photo"
+    )
+
+
+def with_photo(saved: SavedAlignment, photo: Path, sha256: str) -> SavedAlignment:
+    """The alignment with another file as its photo."""
+    image = saved.report["image"] | {"path": str(photo), "sha256": sha256}
+    return replace(saved, report=saved.report | {"image": image}, photo=photo, sha256=sha256)
 
 
 def _alignment(report: dict[str, Any]) -> Alignment:

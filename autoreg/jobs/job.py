@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from importlib import import_module, resources
+from numbers import Integral, Real
 from pathlib import Path
+from types import NoneType
+from typing import Any, get_args
 
 from autoreg.alignment import Alignment
 from autoreg.camera import Camera, fit_to_photo
 from autoreg.camera_files import distrust, read_camera
-from autoreg.errors import Refusal, RenderError
+from autoreg.errors import InputError, Refusal, RenderError
 from autoreg.ground.sight import see
 from autoreg.image import Photo, load_photo
-from autoreg.jobs.outputs import clear_results, kept_apart, results_in, usable_folder, write_png, write_whole
+from autoreg.jobs.outputs import (
+    as_paths,
+    clear_results,
+    kept_apart,
+    places_free,
+    results_in,
+    usable_folder,
+    write_png,
+    write_whole,
+)
 from autoreg.jobs.overlay import overlay_picture
 from autoreg.jobs.render_job import Wish, make_plan, read_wish, render_into, write_scene
 from autoreg.jobs.report import Report, aligned_report, refused_report, render_report, report_text
@@ -25,6 +37,8 @@ from autoreg.rendering.render import EngineName
 
 # The picture that autoreg brings along, and the sides of the slabs in it.
 DEMO_NAME, DEMO_SLAB_M = "terrace", (0.5, 0.5)
+# Heights above the ground from which people and drones take photos, in metres.
+_USUAL_M = (0.1, 100.0)
 
 
 @dataclass(frozen=True)
@@ -44,7 +58,7 @@ class Listener:
 
 @dataclass(frozen=True)
 class Job:
-    """What one run was asked for.
+    """What one run was asked for; files and folders may be given as text.
 
     Attributes:
         photo: the photo's file.
@@ -65,6 +79,9 @@ class Job:
     camera_height: float | None = None
     engine: EngineName | None = None
     wish: Wish = field(default_factory=Wish)
+
+    def __post_init__(self) -> None:
+        as_paths(self, "photo", "folder", "camera")
 
 
 @dataclass(frozen=True)
@@ -96,10 +113,14 @@ def run_job(job: Job, listener: Listener) -> Outcome:
         listener: is told what is being done.
 
     Raises:
-        InputError: the photo, the camera or the folder cannot be used; nothing was written.
+        InputError: the photo, the camera or the folder cannot be used, or the job holds what no job can;
+            nothing was written.
     """
+    _assert_sound(job)
     usable_folder(job.folder)
-    kept_apart((job.photo, job.camera, job.wish.scene), results_in(job.folder))
+    outputs = results_in(job.folder)
+    places_free(outputs)
+    kept_apart((job.photo, job.camera, job.wish.scene), outputs)
     scene = read_wish(job.wish)
     ended = threading.Event()
     # No daemon: a process that ends while XLA compiles in such a thread is aborted. The command waits for it.
@@ -108,6 +129,31 @@ def run_job(job: Job, listener: Listener) -> Outcome:
         return _aligned(job, scene, listener)
     finally:
         ended.set()
+
+
+def _assert_sound(job: Any) -> None:
+    """Raise unless a job's values are of their kinds, which a program can get wrong and no command.
+
+    Raises:
+        InputError: one is not.
+    """
+    wanted = (
+        ("photo", isinstance(job.photo, Path), "a path"),
+        ("folder", isinstance(job.folder, Path), "a path"),
+        ("camera", isinstance(job.camera, (Path, NoneType)), "a path, or None"),
+        ("crop", job.crop is None or _are_numbers(job.crop, 4, Integral), "four whole numbers, or None"),
+        ("slab", job.slab is None or _are_numbers(job.slab, 2, Real), "two sides in metres, or None"),
+        ("camera_height", isinstance(job.camera_height, (Real, NoneType)), "metres, or None"),
+        ("engine", job.engine in (None, *get_args(EngineName)), "auto, povray, preview, or None"),
+        ("wish", isinstance(job.wish, Wish), "a Wish"),
+    )
+    for name, good, kind in wanted:
+        if not good:
+            raise InputError(f"{name} of a job must be {kind}, got {getattr(job, name)!r}")
+
+
+def _are_numbers(values: object, count: int, kind: type) -> bool:
+    return isinstance(values, Sequence) and len(values) == count and all(isinstance(v, kind) for v in values)
 
 
 def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
@@ -133,6 +179,8 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
             written = _write_report(job, report, fresh=True)
             return Outcome(report, None, refusal, None, (written,))
 
+        if unusual := _unusual_height(alignment):
+            listener.note(unusual)
         listener.doing("drawing")
         colour = decoded.result()
         report = aligned_report(job.photo, alignment, None, sha256=photo.sha256)
@@ -186,6 +234,17 @@ def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:
         if said:
             listener.note(said)
     return camera
+
+
+def _unusual_height(alignment: Alignment) -> str | None:
+    """What to say where slabs of this size put the camera where few photos are taken from."""
+    height = float(alignment.pose.cam_from_ground.origin_in_a[2])
+    if alignment.scale_source != "slab" or _USUAL_M[0] <= height <= _USUAL_M[1]:
+        return None
+    return (
+        f"slabs of this size put the camera {height:.3g} metres above the ground; --slab is in metres, so "
+        "check it: 60 cm by 40 cm are 0.6x0.4"
+    )
 
 
 def _write_report(job: Job, report: Report, *, fresh: bool = False) -> Path:

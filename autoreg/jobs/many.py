@@ -40,7 +40,8 @@ def run_jobs(jobs: Sequence[Job], *, processes: int | None = None) -> Iterator[R
         processes: how many run side by side; by default as many as there are processors.
 
     Raises:
-        InputError: two jobs have one folder, or there is no process to run them; nothing was written.
+        InputError: two jobs have one folder, one is no Job, or there is no process to run them; nothing was
+            written.
         AutoregError: a process has ended by itself, for lack of memory perhaps. Runs that had ended by then
             have left whole folders.
     """
@@ -49,6 +50,11 @@ def run_jobs(jobs: Sequence[Job], *, processes: int | None = None) -> Iterator[R
         raise InputError(f"processes: at least one has to run the jobs, got {count}")
     seen: set[Path] = set()
     for job in jobs:
+        if not isinstance(job, Job):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise InputError(f"jobs must be of type Job, got {job!r}")
+        # What is no folder ends its own job, and no other.
+        if not isinstance(job.folder, Path):  # pyright: ignore[reportUnnecessaryIsInstance]
+            continue
         folder = job.folder.resolve()
         if folder in seen:
             raise InputError(f"two jobs would write into {folder}; give each a folder of its own")
@@ -85,4 +91,8 @@ def _run(job: Job) -> Run:
     except (ValueError, OSError) as error:
         # What the command finds wrong with its options before it runs, or a disk that is full.
         return Run(job, None, InputError(str(error)), tuple(notes))
+    except Exception as error:
+        # Whatever it is, the other photos are not to be lost by it.
+        said = f"{job.photo} ended with {type(error).__name__}: {error}; run it by itself to see where"
+        return Run(job, None, AutoregError(said), tuple(notes))
     return Run(job, outcome, None, tuple(notes))

@@ -9,19 +9,27 @@ from autoreg.errors import InputError
 
 # What --dof without a number stands for.
 EXIF = "exif"
+# Sides of slabs and heights of cameras that somebody may mean, in metres: beyond them is another unit.
+SIDES_M, HEIGHTS_M = (0.001, 100.0), (0.01, 10_000.0)
 
 
 def parse_slab(text: str) -> tuple[float, float]:
     """The two sides in metres of "0.6x0.4", or of one number for a square.
 
     Raises:
-        InputError: it is neither.
+        InputError: it is neither, or no slab has such sides.
     """
     parts = re.split(r"[xX×*]", text.strip())
     sides = [_number(part) for part in parts]
     good = [side for side in sides if side is not None and side > 0]
     if len(good) != len(sides) or len(sides) not in (1, 2):
         raise InputError(f"--slab wants metres, such as 0.6x0.4, or 0.5 for a square slab; got {text!r}")
+    for side in good:
+        if not SIDES_M[0] <= side <= SIDES_M[1]:
+            raise InputError(
+                f"--slab wants metres, {SIDES_M[0]:g} to {SIDES_M[1]:g} for each side, such as 0.6x0.4; "
+                f"got {side:g} metres"
+            )
     return good[0], good[-1]
 
 
@@ -56,14 +64,14 @@ def parse_sun(text: str) -> tuple[float, float]:
 
 
 def parse_lens(text: str) -> tuple[float | None, float | None]:
-    """F-number and focal length in mm of "2.8" or "2.8,24"; None for what EXIF has to say.
+    """F-number and focal length in mm of "2.8", "f/2.8" or "2.8,24"; None for what EXIF has to say.
 
     Raises:
         InputError: it is neither.
     """
     if text == EXIF:
         return None, None
-    parts = [_number(part) for part in text.split(",")]
+    parts = [_number(part) for part in re.sub(r"^\s*[fF]/", "", text).split(",")]
     good = [part for part in parts if part is not None and part > 0]
     if len(good) != len(parts) or len(parts) not in (1, 2):
         raise InputError(
@@ -88,10 +96,13 @@ def parse_height(value: float) -> float:
     """The camera's height in metres.
 
     Raises:
-        InputError: it is not a positive number.
+        InputError: it is no number, or no camera stands so high.
     """
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"--camera-height wants metres above the ground, such as 1.55; got {value}")
+    if not HEIGHTS_M[0] <= value <= HEIGHTS_M[1]:
+        raise InputError(
+            f"--camera-height wants metres above the ground, {HEIGHTS_M[0]:g} to {HEIGHTS_M[1]:g}, such as "
+            f"1.55; got {value:g} metres"
+        )
     return value
 
 

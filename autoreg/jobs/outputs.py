@@ -12,6 +12,14 @@ import numpy as np
 from autoreg.errors import InputError
 
 
+def as_paths(record: object, *names: str) -> None:
+    """Make paths of those fields of a frozen dataclass that were given as text."""
+    for name in names:
+        value = getattr(record, name)
+        if isinstance(value, str):
+            object.__setattr__(record, name, Path(value))
+
+
 def write_whole(path: Path, content: bytes) -> Path:
     """The path, which now holds `content`; if anything fails it holds what it held before.
 
@@ -85,6 +93,20 @@ def kept_apart(inputs: Iterable[Path | None], outputs: Iterable[Path]) -> None:
             continue
         if any(given.samefile(path) for path in there):
             raise InputError(f"{given} would be written over by the results; give another folder with -o")
+
+
+def places_free(outputs: Iterable[Path]) -> None:
+    """Nothing, if no folder has the name of a file that is to be written.
+
+    Raises:
+        InputError: one has.
+    """
+    for path in outputs:
+        if path.is_dir():
+            raise InputError(
+                f"the folder {path} is in the way of the file of that name; move it, or give another folder "
+                "with -o"
+            )
 
 
 def clear_results(folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,12 +14,20 @@ from jaxtyping import Float, UInt8
 from autoreg.alignment import Alignment
 from autoreg.errors import InputError, RenderError
 from autoreg.formats.exif import read_exif
-from autoreg.image import load_photo
-from autoreg.jobs.alignment_file import SavedAlignment, read_alignment
-from autoreg.jobs.outputs import kept_apart, results_in, usable_folder, write_png, write_whole
+from autoreg.image import Photo, load_photo
+from autoreg.jobs.alignment_file import SavedAlignment, aligned_photo, read_alignment, with_photo
+from autoreg.jobs.outputs import (
+    as_paths,
+    kept_apart,
+    places_free,
+    results_in,
+    usable_folder,
+    write_png,
+    write_whole,
+)
 from autoreg.jobs.report import RenderReport, Report, render_report, report_text
 from autoreg.rendering.demo import demo_objects
-from autoreg.rendering.depth_of_field import Focus, blur_px
+from autoreg.rendering.depth_of_field import Focus, assert_moderate, blur_px
 from autoreg.rendering.engine import Plan
 from autoreg.rendering.objects import Scene
 from autoreg.rendering.povray_engine import write_image
@@ -60,6 +67,9 @@ class Wish:
     lens: Lens | None = None
     timeout_s: float = 1800.0
 
+    def __post_init__(self) -> None:
+        as_paths(self, "scene")
+
 
 @dataclass(frozen=True)
 class RenderJob:
@@ -70,6 +80,9 @@ class RenderJob:
     engine: EngineName = "auto"
     photo: Path | None = None
     folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        as_paths(self, "alignment", "photo", "folder")
 
 
 @dataclass(frozen=True)
@@ -182,9 +195,19 @@ def run_render(
     saved = read_alignment(job.alignment)
     folder = usable_folder(job.folder or job.alignment.parent)
     tell("reading the photo")
-    path, colour = _photo_of(job, saved)
+    path, photo = _photo_of(job, saved)
+    colour = photo.colour()
+    outputs = results_in(folder)
+    places_free(outputs)
     # The report alone is read and written.
-    kept_apart((path, job.wish.scene), results_in(folder)[1:])
+    kept_apart((path, job.wish.scene), outputs[1:])
+    if job.photo is not None:
+        if saved.sha256 not in (None, photo.sha256):
+            note(
+                f"{path} is not, byte for byte, the photo that was aligned; what is drawn lies right only if "
+                "the camera stood still"
+            )
+        saved = with_photo(saved, path, photo.sha256)
     plan = make_plan(job.wish, scene, saved.alignment, colour, path)
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -216,9 +239,9 @@ def _finished(
     return RenderOutcome(report, tuple(written), error)
 
 
-def _photo_of(job: RenderJob, saved: SavedAlignment) -> tuple[Path, UInt8[np.ndarray, "h w 3"]]:
-    """The photo that was given, or the one that was aligned."""
-    path = job.photo or _aligned_photo(job.alignment, saved)
+def _photo_of(job: RenderJob, saved: SavedAlignment) -> tuple[Path, Photo]:
+    """The photo that was given, or the one that was aligned, with its path."""
+    path = job.photo or aligned_photo(job.alignment, saved)
     photo = load_photo(path)
     wanted = (saved.alignment.width, saved.alignment.height)
     if (photo.width, photo.height) != wanted:
@@ -226,29 +249,7 @@ def _photo_of(job: RenderJob, saved: SavedAlignment) -> tuple[Path, UInt8[np.nda
             f"photo {path} has {photo.width} x {photo.height} pixels, but {wanted[0]} x {wanted[1]} were "
             "aligned; give the same photo with --photo"
         )
-    return path, photo.colour()
-
-
-def _aligned_photo(alignment: Path, saved: SavedAlignment) -> Path:
-    """The photo that was aligned, by its path in the report: from here, or from beside the report.
-
-    Raises:
-        InputError: it is not there, or what is there is another picture of that name.
-    """
-    beside = alignment.parent
-    places = (saved.photo, beside / saved.photo, beside.parent / saved.photo.name)
-    found = [place for place in places if place.is_file()]
-    if not found:
-        raise InputError(f"the photo {saved.photo} is not there any more; say where it is with --photo")
-    if saved.sha256 is None:
-        return found[0]
-    for place in found:
-        if hashlib.sha256(place.read_bytes()).hexdigest() == saved.sha256:
-            return place
-    raise InputError(
-        f"{found[0]} is not the photo that was aligned, or it has been changed since; give the one that is "
-        "meant with --photo"
-    )
+    return path, photo
 
 
 def _focus(
@@ -271,7 +272,9 @@ def _focus(
         point = _middle_of_ground(view)
     if not view.cam_from_ground.apply(point)[2] > 0:
         raise InputError("focus lies behind the camera; choose a ground point in the picture")
-    return Focus(focal_mm / 1000.0 / f_number, point)
+    focus = Focus(focal_mm / 1000.0 / f_number, point)
+    assert_moderate(view, focus, f"a lens of {focal_mm:g} mm at f/{f_number:g}")
+    return focus
 
 
 def _widest_blur_px(plan: Plan) -> float | None:

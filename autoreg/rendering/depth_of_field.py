@@ -6,15 +6,18 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from autoreg.errors import InputError
 from autoreg.view import View, Window
 
 # Widths in pixels for which a picture is blurred evenly; between two of them it is mixed.
 _STEP = 1.25
 _LEAST_PX = 0.25
-# Samples per pixel side of a disc's coverage.
-_FINE = 16
+# Samples per pixel side of a disc's coverage, and per side of the whole disc, where that is fewer.
+_FINE, _MOST_FINE = 16, 2048
+# No photo's discs of blur are wider than this part of its longer side, and their cost grows with their area.
+_WIDEST = 0.25
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,29 @@ def blur_px(view: View, focus: Focus, ground: Float[np.ndarray, "*n 3"]) -> Floa
         return view.camera.fx * focus.aperture_m * np.abs(_closeness(view, focus) - 1.0 / _positive(depth))
 
 
+def assert_moderate(view: View, focus: Focus, lens: str) -> None:
+    """Raise unless the ground in the picture is blurred as some lens may blur it.
+
+    Args:
+        view: the photo's camera.
+        focus: the lens.
+        lens: what messages call it.
+
+    Raises:
+        InputError: its discs of blur are too wide.
+    """
+    c = view.camera
+    # As the absolute value of what only bends up, it is largest at a corner.
+    u, v = np.array([0, c.width - 1]), np.array([0, c.height - 1])
+    widest, limit = float(_ground_blur_px(view, u, v, focus).max()), _WIDEST * max(c.width, c.height)
+    if not widest <= limit:
+        raise InputError(
+            f"{lens} has an opening of {1000 * focus.aperture_m:.3g} mm, which makes discs of blur up to "
+            f"{widest:.3g} pixels wide, more than {limit:.0f} (a quarter of the photo's longer side); give "
+            "--dof a larger f-number or a shorter focal length, as in --dof 2.8,24"
+        )
+
+
 def defocused_ground(
     plane: Float[np.ndarray, "h w"], view: View, window: Window, focus: Focus
 ) -> Float[np.ndarray, "h w"]:
@@ -49,12 +75,9 @@ def defocused_ground(
         window: which part of the straight picture it is.
         focus: the lens.
     """
-    c, eye = view.camera, view.eye
+    c = view.camera
     u, v = window.x + np.arange(window.width), window.y + np.arange(window.height)
-    # The ray (x, y, 1) meets the ground at this 1/depth; above the horizon nothing is nearer than infinity.
-    down = -view.cam_from_ground.R[:, 2] / eye[2]
-    closeness = (u - c.cx) / c.fx * down[0] + ((v - c.cy) / c.fy * down[1] + down[2])[:, None]
-    width = c.fx * focus.aperture_m * np.abs(_closeness(view, focus) - np.maximum(closeness, 0.0))
+    width = _ground_blur_px(view, u, v, focus)
     levels = _levels(float(width.max(initial=0.0)))
     blurred = np.zeros_like(plane)
     for n, level in enumerate(levels):
@@ -69,14 +92,26 @@ def defocused_ground(
 def disc(width: float, height: float) -> Float[np.ndarray, "a b"]:
     """Weights of pixels, with the sum 1, for an even ellipse around the middle one."""
     half = [int(np.ceil(0.5 * (side - 1))) if side > 1 else 0 for side in (height, width)]
+    fine = int(np.clip(_MOST_FINE // (2 * max(half) + 1), 1, _FINE))
     y, x = (
-        ((np.arange((2 * k + 1) * _FINE) + 0.5) / _FINE - k - 0.5) / (0.5 * max(side, 1e-9))
+        ((np.arange((2 * k + 1) * fine) + 0.5) / fine - k - 0.5) / (0.5 * max(side, 1e-9))
         for k, side in zip(half, (height, width), strict=True)
     )
     inside = (x**2 + y[:, None] ** 2 < 1.0).astype(float)
-    weights = inside.reshape(2 * half[0] + 1, _FINE, 2 * half[1] + 1, _FINE).mean((1, 3))
+    weights = inside.reshape(2 * half[0] + 1, fine, 2 * half[1] + 1, fine).mean((1, 3))
     total = weights.sum()
     return weights / total if total > 0 else np.ones((1, 1))
+
+
+def _ground_blur_px(
+    view: View, u: Int[np.ndarray, " w"], v: Int[np.ndarray, " h"], focus: Focus
+) -> Float[np.ndarray, "h w"]:
+    """Width of the disc of blur of the ground at columns u and rows v of the straight picture."""
+    c = view.camera
+    # The ray (x, y, 1) meets the ground at this 1/depth; above the horizon nothing is nearer than infinity.
+    down = -view.cam_from_ground.R[:, 2] / view.eye[2]
+    closeness = (u - c.cx) / c.fx * down[0] + ((v - c.cy) / c.fy * down[1] + down[2])[:, None]
+    return c.fx * focus.aperture_m * np.abs(_closeness(view, focus) - np.maximum(closeness, 0.0))
 
 
 def _levels(widest: float) -> Float[np.ndarray, " n"]:

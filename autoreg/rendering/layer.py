@@ -27,6 +27,20 @@ class Layer:
     transmission: Float[np.ndarray, "h w"]
 
 
+def assert_colour(photo: object) -> None:
+    """Raise unless a picture is in colour.
+
+    Raises:
+        ValueError: it is not.
+    """
+    array = np.asarray(photo)
+    if array.ndim != 3 or array.shape[2] != 3 or array.dtype != np.uint8:
+        raise ValueError(
+            f"photo must be in colour, h x w x 3 (BGR) of uint8, got {array.shape} of {array.dtype}; "
+            "autoreg.load_photo(path).colour() is that of a file"
+        )
+
+
 def linear_from_srgb(values: UInt8[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Linear light, 0 to 1, of 8-bit sRGB values (IEC 61966-2-1)."""
     s = np.arange(256) / 255.0

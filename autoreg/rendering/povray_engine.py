@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -137,14 +136,11 @@ def _smooth(plan: Plan, sharp: list[str]) -> list[str]:
 
 
 def write_image(source: Path, target: Path) -> None:
-    """A picture as the PNG file that the scene names.
+    """A picture as the PNG file that the scene names, opaque as the preview shows it.
 
     Raises:
         RenderError: it cannot be read any more.
     """
-    if source.suffix.lower() == ".png":
-        shutil.copyfile(source, target)
-        return
     picture = cv2.imread(str(source), cv2.IMREAD_COLOR)
     if picture is None or not cv2.imwrite(str(target), picture):
         raise RenderError(f"the picture {source} cannot be read")

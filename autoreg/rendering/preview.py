@@ -177,8 +177,10 @@ def _weights(
 
 def _looked_up(image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
     height, width = image.shape[:2]
-    x: Int[np.ndarray, " n"] = np.floor((uv[:, 0] % 1.0) * width).astype(np.int64).clip(0, width - 1)
-    y: Int[np.ndarray, " n"] = np.floor((1.0 - uv[:, 1] % 1.0) * height).astype(np.int64).clip(0, height - 1)
+    # Repeated beyond its edges, which are its own.
+    u, v = np.where((uv < 0) | (uv > 1), uv % 1.0, uv).T
+    x: Int[np.ndarray, " n"] = np.floor(u * width).astype(np.int64).clip(0, width - 1)
+    y: Int[np.ndarray, " n"] = np.floor((1.0 - v) * height).astype(np.int64).clip(0, height - 1)
     return image[y, x]
 
 

@@ -15,7 +15,7 @@ from autoreg.layout import lay_joints
 from autoreg.rendering.check import RenderCheck, check_render
 from autoreg.rendering.depth_of_field import blur_px
 from autoreg.rendering.engine import Engine, Plan
-from autoreg.rendering.layer import Layer, lay_over, layer_picture
+from autoreg.rendering.layer import Layer, assert_colour, lay_over, layer_picture
 from autoreg.rendering.lens import bend, straight_window, straightened
 from autoreg.rendering.povray import Progress, find_povray
 from autoreg.rendering.povray_engine import PovrayEngine
@@ -68,7 +68,12 @@ def choose_engine(
 
 
 def plan_render(alignment: Alignment, staging: Staging, photo: UInt8[np.ndarray, "h w 3"]) -> Plan:
-    """All that an engine needs; `files` and `backdrop` are what a user gets as scene.pov and its picture."""
+    """All that an engine needs; `files` and `backdrop` are what a user gets as scene.pov and its picture.
+
+    Raises:
+        ValueError: the photo is not in colour.
+    """
+    assert_colour(photo)
     view = View(alignment.camera.camera, alignment.pose.cam_from_ground)
     backdrop = "scene-undistorted.png" if view.camera.has_distortion else "scene-photo.png"
     files: SceneFiles = scene_files(alignment, staging, backdrop)
@@ -80,7 +85,9 @@ def render(engine: Engine, plan: Plan, photo: UInt8[np.ndarray, "h w 3"]) -> Ren
 
     Raises:
         RenderError: the engine failed, or its camera is not the fitted one.
+        ValueError: the photo is not in colour.
     """
+    assert_colour(photo)
     view = plan.view
     window = staged_window(plan)
     straight = straight_window(view, window)

@@ -71,7 +71,7 @@ def objects_text(staging: Staging) -> ObjectsText:
         body = None if image is not None else _primitive(solid)
         if body is None:
             file = f"scene-{name.lower()}.inc"
-            includes.append((file, mesh_text(f"{name}_Mesh", solid.own_surface)))
+            includes.append((file, mesh_text(f"{name}_Mesh", solid.pictured_surface)))
             lines.append(f'#include "{file}"')
             body = f"object {{ {name}_Mesh"
         lines.append(f"#declare {name} = {body} {_material(material, image)} }}")

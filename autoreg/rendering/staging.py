@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -12,7 +13,7 @@ from autoreg.errors import InputError
 from autoreg.lattice import Lattice
 from autoreg.layout import slab_at, slab_centre
 from autoreg.rendering.depth_of_field import Focus
-from autoreg.rendering.layer import linear_from_srgb
+from autoreg.rendering.layer import assert_colour, linear_from_srgb
 from autoreg.rendering.objects import (
     RGB,
     Box,
@@ -71,6 +72,13 @@ class Solid:
     def own_surface(self) -> Surface:
         """Its triangles in the shape's own frame."""
         return surface_of(self.source.shape)
+
+    @cached_property
+    def pictured_surface(self) -> Surface:
+        """The same for a renderer that repeats the material's picture beyond its edges."""
+        image = self.source.material.image
+        picture = cv2.imread(str(image), cv2.IMREAD_COLOR) if image is not None and image.is_file() else None
+        return self.own_surface if picture is None else self.own_surface.inset(*picture.shape[1::-1])
 
     @cached_property
     def surface(self) -> Surface:
@@ -164,7 +172,10 @@ def stage(
     Raises:
         InputError: an object would stand behind the camera, out of the picture, or nowhere; or a shadow
             that is to show the sun does not.
+        ValueError: the photo is not in colour.
     """
+    if photo is not None:
+        assert_colour(photo)
     solids = tuple(Solid(thing, _foot(thing, view, lattice)) for thing in scene.objects)
     for solid in solids:
         _assert_seen(solid, view, lattice)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +10,8 @@ from jaxtyping import Float
 # Pieces of a full circle: a ball that is 1000 pixels wide then differs from its outline by 0.04 pixels. Few
 # do where only its place and its bounds are asked for, which are exact since quarters have whole pieces.
 SEGMENTS, FEW_SEGMENTS = 256, 32
+# Rounding of uv in files: so far beyond the picture's edge is still on it.
+_ON_EDGE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,18 @@ class Surface:
         """The triangles turned about Z and then moved."""
         R = about_z(turn_rad)
         return Surface(self.corners @ R.T + by, self.normals @ R.T, self.uv)
+
+    def inset(self, width: int, height: int) -> Surface:
+        """The same with uv half a pixel inside the edges of a picture of so many pixels.
+
+        At its very edge a picture that goes on for ever shows as much of its opposite edge. Triangles across
+        which it is repeated want that, and stay.
+        """
+        if self.uv is None:
+            return self
+        half = 0.5 / np.array([width, height])
+        repeated = ((self.uv < -_ON_EDGE) | (self.uv > 1 + _ON_EDGE)).any((1, 2), keepdims=True)
+        return replace(self, uv=np.where(repeated, self.uv, np.clip(self.uv, half, 1 - half)))
 
 
 def about_z(turn_rad: float) -> Float[np.ndarray, "3 3"]:
