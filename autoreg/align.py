@@ -15,11 +15,12 @@ from autoreg.answer.conclude import (
     measure_residual,
     metric_scale,
     scaled_covariance,
+    unlike_slab,
     unsure,
 )
 from autoreg.answer.full_resolution import REACH, Laid, measured_rows, measured_slabs
 from autoreg.answer.last_step import rested
-from autoreg.answer.refusals import focal_implausible, focal_untold, leaning, maybe_wall
+from autoreg.answer.refusals import focal_implausible, focal_untold, leaning, maybe_wall, on_its_side
 from autoreg.answer.slab_shape import plausible_focal
 from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
@@ -32,7 +33,7 @@ from autoreg.image import as_gray
 from autoreg.paving.lattice_choice import Paving
 from autoreg.rows.cross_joints import common_lean
 from autoreg.rows.rows import Rows
-from autoreg.search import RADIAL_SIGMA, find_paving, find_rows, other_camera
+from autoreg.search import RADIAL_SIGMA, find_paving, find_rows, other_camera, upright_by
 from autoreg.slabs.camera_check import check_camera
 from autoreg.solve.freedom import Free
 from autoreg.solve.solver import warm_up
@@ -48,6 +49,9 @@ SECOND_RADIAL_SIGMA, TANGENTIAL_SIGMA = 0.1, 0.001
 # Slabs tell the tilt in any case. Their camera's height goes with the focal length: where it may be wrong by
 # half, the photo has not told it.
 MOST_SLABS_FOCAL_SIGMA = 0.25
+# Logarithm by which the ratio of a slab's sides may be off as somebody tells it, as a standard deviation:
+# bricks of 200 x 100 mm lie 205 x 105 apart where their joints are left out.
+SLAB_RATIO_SIGMA = 0.01
 # Refusals that have a reason of their own, which no other camera would take away.
 OWN_REASONS = {"not_ground", "slab_mismatch", "camera_contradicted"}
 
@@ -98,16 +102,27 @@ def align_seen(
     picture = sight.gray.astype(np.float32)
     height, width = picture.shape
     _check_arguments(camera, width, height, slab, camera_height)
-    if camera is None and exif_focal_px is not None:
-        return _by_exif(sight, picture, exif_focal_px, slab, camera_height)
     source: CameraSource = "photo" if camera is None else "file"
     try:
+        if camera is None and exif_focal_px is not None:
+            return _by_exif(sight, picture, exif_focal_px, slab, camera_height)
         laid = _laid(sight, picture, camera, source, slab)
     except Refusal as refusal:
-        # What a wrong camera hides may look like anything.
-        asked = source == "file" and refusal.code not in OWN_REASONS
-        raise (_other_camera(sight, camera) if asked else None) or refusal from None
+        raise _other_reason(sight, camera, refusal) or refusal from None
     return _concluded(picture, laid, source, slab, camera_height)
+
+
+def _other_reason(sight: Sight, camera: Camera | None, refusal: Refusal) -> Refusal | None:
+    """What else may be the reason of a refusal: the wrong camera, or a photo that does not stand upright."""
+    # What a wrong camera hides may look like anything.
+    if refusal.code not in OWN_REASONS:
+        blamed = _other_camera(sight, camera)
+        if blamed is not None:
+            return blamed
+    if refusal.code != "no_lattice":
+        return None
+    quarters = upright_by(sight, camera)
+    return None if quarters is None else on_its_side(quarters)
 
 
 def _by_exif(
@@ -304,7 +319,10 @@ def _concluded(
         lattice=describe_lattice(fit, settled.presence, frame, scale),
         residual=measure_residual(fit),
         joints=fitted_joints(fit, frame),
-        warnings=unsure(answer, source, slab_told=slab is not None),
+        warnings=(
+            *unsure(answer, source, slab_told=slab is not None),
+            *(unlike_slab(fit, slab, last.ratio_sigma, scale) if source == "file" and slab else ()),
+        ),
     )
 
 
@@ -317,7 +335,7 @@ def _freedom(
     of the principal point. The other stays at the picture's centre, and its uncertainty goes into the pose.
     """
     if source == "file":
-        return Free(ratio=slab is None)
+        return Free(ratio=True, slab=slab, ratio_sigma=SLAB_RATIO_SIGMA)
     nominal = camera or Camera.from_focal(width, height, float(max(width, height)))
     return Free(
         ratio=slab is None,

@@ -72,6 +72,9 @@ def largest_field(
     other = None if part is None else _found_in(sight, camera, covered, part)
     if other is None or alike(found, other, ALIKE):
         return found
+    # It is plain to see, unless it is what was asked for.
+    if not other.plain and (suits or not _suits(other, slab)):
+        return found
     whole = _in_whole(sight, camera, other)
     if whole is None or not _same_ground(found.fit, whole.fit):
         return found
@@ -186,7 +189,7 @@ def _painted(gray: UInt8[np.ndarray, "h w"], camera: Camera, covered: _Covered) 
 
 
 def _found_in(sight: Sight, camera: Camera, covered: _Covered, part: _Part) -> Paving | None:
-    """The lattice that is plain to see in a part of the photo whose known field is painted over."""
+    """The lattice in a part of the photo whose known field is painted over, if there is any."""
     rows, columns = slice(part.top, part.top + part.height), slice(part.left, part.left + part.width)
     gray = np.ascontiguousarray(_painted(sight.gray, camera, covered)[rows, columns])
     return find_on(see(gray), camera.cropped(part.left, part.top, part.width, part.height), part.R)

@@ -14,7 +14,7 @@ from autoreg.errors import Refusal
 from autoreg.ground.directions import camera_rays, strongest_share
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal, like_wall
-from autoreg.ground.sight import Looks, Sight
+from autoreg.ground.sight import Looks, Sight, see
 from autoreg.paving.bond import bond_of_places
 from autoreg.paving.lattice_choice import PLAIN_NATS, Paving, rival, suited
 from autoreg.paving.lay import lay_bond, lay_combs, lay_first, lay_lattice
@@ -66,13 +66,11 @@ def find_paving(
     """
     looks = sight.looks
 
-    def fitting(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
-        if slab is None:
-            return pavings
-        return suited(looks.picture, pavings, slab, halves=camera is not None)
+    def fitting(pavings: tuple[Paving, ...], *, halves: bool = False) -> tuple[Paving, ...]:
+        return pavings if slab is None else suited(looks.picture, pavings, slab, halves=halves)
 
     def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
-        return fitting(pavings) or pavings
+        return fitting(pavings, halves=camera is not None) or pavings
 
     def glanced(segments: Segments, free: Free, hypotheses: list[Hypothesis]) -> tuple[Paving, ...]:
         first = _at_a_glance(looks, segments, hypotheses, free)
@@ -113,7 +111,7 @@ def find_paving(
 
 
 def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving | None:
-    """The lattice that is plain to see on a known ground, at detection scale, if there is any.
+    """The lattice on a known ground that does better than chance, if any does, at detection scale.
 
     Args:
         sight: what is seen of the photo.
@@ -125,7 +123,7 @@ def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving
     if found is None or not found.plain:
         planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
         found = next((paving for plane in planes for paving in lay_lattice(looks, plane, free)), None)
-    return found if found is not None and found.plain else None
+    return found if found is not None and found.margin_nats > 0 else None
 
 
 def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
@@ -184,6 +182,23 @@ def other_camera(sight: Sight, camera: Camera, found: Paving | None = None) -> R
     focal = other.fit.camera.scaled(camera.width, camera.height).fx
     alike = abs(np.log(focal / camera.fx)) < SAME_FOCAL
     return None if alike else camera_contradicted(camera, focal)
+
+
+def upright_by(sight: Sight, camera: Camera | None) -> int | None:
+    """By how many quarter turns clockwise a photo shows a lattice on the ground that is plain to see, if so.
+
+    For a photo that shows none as it is: it may stand on its side, or be of a wall.
+    """
+    small = sight.looks.picture
+    height, width = small.shape
+    for quarters in (1, 2, 3):
+        turned = see(np.ascontiguousarray(np.rot90(small.astype(np.uint8), -quarters)))
+        own = None if camera is None else camera.scaled(width, height).turned(quarters)
+        free, hypotheses = _hypotheses(turned.segments, turned.size, own)
+        found = _at_a_glance(turned.looks, turned.segments, hypotheses, free)
+        if found is not None and found.plain:
+            return quarters
+    return None
 
 
 def _at_a_glance(looks: Looks, segments: Segments, hypotheses: list[Hypothesis], free: Free) -> Paving | None:

@@ -270,3 +270,56 @@ def test_a_slab_has_two_positive_sides(slab: tuple[float, float]):
     photo = drawn("stack")
     with pytest.raises(ValueError, match=r"slab: two positive lengths"):
         autoreg.align(photo.pixels, photo.camera, slab=slab)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "told", "shift", "joint_mm"),
+    [((0.61, 0.41), "0.610x0.410", 0.0, 10), ((0.205, 0.105), "0.205x0.105", 0.5, 5)],
+)
+def test_sides_without_their_joints_leave_the_pose_right_and_are_put_right_in_words(
+    pitch: tuple[float, float], told: str, shift: float, joint_mm: int
+):
+    joint = 1e-3 * joint_mm
+    scene = replace(STACK, spacing_m=pitch, shift=shift, joint_width_m=joint, seed=8)
+    photo = render_paving(scene)
+    slab = (pitch[0] - joint, pitch[1] - joint)
+    found = autoreg.align(photo.pixels, photo.camera, slab=slab)
+    assert found.camera.consistent
+    a, b = spacing_of(found)
+    assert max(a, b) / min(a, b) == pytest.approx(pitch[0] / pitch[1], rel=1e-3)
+    assert a * b == pytest.approx(slab[0] * slab[1])
+    # In the unit of the slabs as they were told, nothing but the scale is off.
+    scale = float(np.sqrt(pitch[0] * pitch[1] / (slab[0] * slab[1])))
+    pose = found.pose.cam_from_ground
+    angle_deg, crossing_px = misses(Rigid(pose.R, scale * pose.t), (scale * a, scale * b), photo)
+    assert angle_deg < 0.01
+    assert crossing_px < 0.1
+    (warning,) = found.warnings
+    assert told in warning
+    assert f"{joint_mm} mm wide" in warning
+
+
+def test_a_slab_of_another_shape_is_named_and_the_pose_follows_the_joints():
+    photo = drawn("stack")
+    found = autoreg.align(photo.pixels, photo.camera, slab=(0.612, 0.4))
+    a, b = spacing_of(found)
+    assert max(a, b) / min(a, b) == pytest.approx(1.5, rel=1e-3)
+    (warning,) = found.warnings
+    assert "measure a slab" in warning
+
+
+def test_a_slab_that_was_told_exactly_is_taken_at_its_word():
+    found = aligned("stack")
+    a, b = spacing_of(found)
+    assert max(a, b) / min(a, b) == pytest.approx(1.5, abs=1e-4)
+    assert not found.warnings
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_photo_that_does_not_stand_upright_is_refused_with_the_turn_that_it_needs(quarters: int):
+    photo = drawn("stack")
+    turned = np.ascontiguousarray(np.rot90(photo.pixels, -quarters))
+    with pytest.raises(Refusal) as refused:
+        autoreg.align(turned, photo.camera.turned(quarters), slab=(0.6, 0.4))
+    assert refused.value.code == "not_ground"
+    assert refused.value.measured == 90 * (4 - quarters)

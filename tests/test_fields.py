@@ -53,6 +53,20 @@ def beside(near: SyntheticScene, far: SyntheticScene, border_m: float) -> np.nda
     return np.where(along < border_m, first, second).astype(np.uint8)
 
 
+# Large slabs of which few are seen, beyond bricks seen from above.
+STEEP = Camera(800, 600, 860.0, 860.0, 410.0, 298.0)
+BRICKS = replace(
+    NEAR, camera=STEEP, cam_from_ground=look_at_ground(pitch_deg=58.0, height_m=2.0, heading_deg=9.0), seed=3
+)
+FEW = replace(BRICKS, spacing_m=(0.6, 0.6), shift=0.0, joint_width_m=0.014, slab_tone=185.0, seed=4)
+
+
+def test_few_slabs_that_were_asked_for_are_found_beside_bricks():
+    found = align(beside(BRICKS, FEW, 1.2), STEEP, slab=(0.6, 0.6))
+    assert found.lattice.kind == "stack"
+    assert found.pose.cam_from_ground.origin_in_a[2] == pytest.approx(2.0, rel=2e-3)
+
+
 @pytest.fixture(scope="module")
 def two_fields() -> np.ndarray:
     return beside(NEAR, FAR, 2.4)

@@ -9,7 +9,7 @@ from paved import CAMERA
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import Grid
 from autoreg.solve import joint_data as terms
-from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
+from autoreg.solve.freedom import Free, log_stretch, moved_camera, moved_pose, stretched
 from autoreg.solve.joint_data import PARAMETERS
 from autoreg.solve.solver import Solution
 
@@ -46,3 +46,22 @@ def test_priors_mean_the_nominal_camera_wherever_the_solve_starts():
     meant = moved_camera(start, replace(NOTHING, parameters=mean))
     assert meant.fy == pytest.approx(nominal.fy)
     assert meant.dist == pytest.approx(nominal.dist)
+
+
+@pytest.mark.parametrize("grid", [Grid(0.61, 0.41), Grid(0.41, 0.61, 0.5), Grid(0.3, 0.3)])
+@pytest.mark.parametrize("slab", [(0.6, 0.4), (0.4, 0.6)])
+def test_priors_mean_the_slab_that_was_told_whichever_side_comes_first(grid: Grid, slab: tuple[float, float]):
+    prior = Free(ratio=True, slab=slab, ratio_sigma=0.01).prior(CAMERA, grid)
+    meant = stretched(grid, replace(NOTHING, parameters=prior.mean))
+    assert meant.spacing_x is not None
+    assert max(meant.spacing_x, meant.spacing_y) / min(meant.spacing_x, meant.spacing_y) == pytest.approx(1.5)
+    assert log_stretch(meant.spacing_x, meant.spacing_y, slab) == pytest.approx(0.0, abs=1e-12)
+    assert prior.sigma[terms.RATIO] == 0.01
+
+
+def test_rows_and_untold_slabs_have_no_ratio_that_is_known():
+    for free, grid in (
+        (Free(ratio=True, slab=(0.6, 0.4), ratio_sigma=0.01), Grid(None, 0.4)),
+        (Free(), Grid(0.6, 0.4)),
+    ):
+        assert np.isinf(free.prior(CAMERA, grid).sigma[terms.RATIO])

@@ -13,7 +13,17 @@ from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides, visible_sides
 from autoreg.ground.sight import looks_at
 from autoreg.joints.joint_looks import Strip
-from autoreg.paving.lattice_choice import Paving, carry, rival, same_lattice, settle_bond, with_pattern
+from autoreg.paving.lattice_choice import (
+    Paving,
+    carry,
+    of_joints_alone,
+    presented,
+    rival,
+    same_lattice,
+    settle_bond,
+    suited,
+    with_pattern,
+)
 from autoreg.paving.lay import fills, lay_lattice, refine_in_field
 from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern
@@ -170,6 +180,33 @@ def test_marks_half_way_between_the_joints_do_not_halve_the_slabs(
     settled = settle_bond(picture - darker / 255 * mask, replace(stack_fit, grid=Grid(0.6, 0.4 / rows)))
     assert settled is not None
     assert spacing_of(settled.fit) == pytest.approx(spacing_of(stack_fit))
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(1, 1), (2, 1), (1, 2), (2, 2), (3, 2)])
+def test_a_lattice_within_which_another_one_s_sides_alone_are_joints_is_known_to_be_too_fine(
+    columns: int, rows: int, stack_fit: Fit, stack_photo: SyntheticPhoto
+):
+    a, b = spacing_of(stack_fit)
+    fine = replace(stack_fit, grid=Grid(a / columns, b / rows))
+    paving = presented(gray_of(stack_photo), fine)
+    assert paving is not None
+    alone = of_joints_alone(gray_of(stack_photo), paving)
+    if columns == rows == 1:
+        assert alone is None
+    else:
+        assert alone is not None
+        assert same_lattice(alone.fit, stack_fit)
+
+
+def test_halves_of_a_slab_do_not_suit_it_though_they_have_its_shape(
+    stack_fit: Fit, stack_photo: SyntheticPhoto
+):
+    a, b = spacing_of(stack_fit)
+    # Of every second row of these, halves of the slabs are left.
+    fine = presented(gray_of(stack_photo), replace(stack_fit, grid=Grid(a / 2, b / 4)))
+    assert fine is not None
+    found = suited(gray_of(stack_photo), (fine,), (a, b), halves=True)
+    assert same_lattice(found[0].fit, stack_fit)
 
 
 @pytest.mark.parametrize("name", ["stack", "half"])

@@ -61,7 +61,8 @@ def test_a_ground_seen_squarely_looks_as_a_longer_one_does_by_another_lens(
     ground = np.array([[x, y] for x in (-1.0, 0.5, 2.0) for y in (-0.5, 1.0, 2.5)])
     was, now = project_ground(camera, pose, ground), project_ground(*other, ground * factors)
     in_front = np.isfinite(was).all(1) & np.isfinite(now).all(1)
-    assert np.abs(was - now)[in_front] == pytest.approx(0.0, abs=1e-6)
+    # Places beside the camera are seen far outside the picture.
+    assert now[in_front] == pytest.approx(was[in_front], rel=1e-9, abs=1e-6)
 
 
 def test_the_same_shape_asks_for_the_same_camera() -> None:

@@ -19,7 +19,15 @@ from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.points import inside_box, on_ground, project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y
-from autoreg.rows.turning_stones import AROUND, FEWEST_SEGMENTS, common_turn, scatters, straight, turn_of_rows
+from autoreg.rows.turning_stones import (
+    AROUND,
+    FEWEST_SEGMENTS,
+    common_turn,
+    directions,
+    straight,
+    turn_of_rows,
+    turned_alike,
+)
 from autoreg.segments import Segments
 from autoreg.synthetic import look_at_ground, render_paving
 from benchmarks.raytrace.scene import Paving
@@ -95,7 +103,7 @@ def among(own: Segments, others: Segments) -> Segments:
 
 def test_what_turns_around_straight_slabs_is_something_else(fit: Fit):
     segments, field = sides_turned(fit, ALONG_X, 0.0)
-    assert straight(scatters(segments, fit, field))
+    assert straight(directions(segments, fit, field))
     askew, _ = sides_turned(fit, ALONG_X, 60.0)
     middle = field.mean(0)
     inner = middle + (field - middle) / 1.8
@@ -134,11 +142,35 @@ def test_stones_that_point_anywhere_are_none_of_a_lattice(
         assert refusal.measured == pytest.approx(9.0, rel=0.2)
 
 
+@pytest.mark.parametrize(
+    ("degrees", "refused"),
+    [((0.0, 0.0), False), ((2.0, 2.5), True), ((-2.0, -2.5), True), ((2.0, -2.0), False)],
+)
+def test_a_lattice_does_not_lie_across_its_stones(fit: Fit, degrees: tuple[float, float], refused: bool):
+    # As that of a pinwheel of large and small squares does; a wrong camera turns the families apart.
+    segments, field = scattered(fit, (0.2, 0.2))
+    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
+    middle = ground.mean(1, keepdims=True)
+    turn = np.radians(np.repeat(degrees, COUNT * COUNT))
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], 1)
+    ends = middle + np.einsum("nij,nkj->nki", R, ground - middle)
+    across = replace(segments, ends_px=project_ground(fit.camera, fit.cam_from_ground, ends))
+    refusal = _turned(across, fit, field)
+    assert (refusal is not None) == refused
+    if refusal is not None:
+        assert "askew of its joints" in refusal.message
+        assert refusal.measured == pytest.approx(2.0, abs=0.15)
+        alike = turned_alike(directions(across, fit, field))
+        assert alike is not None
+        assert np.sign(alike.angle) == np.sign(degrees[0])
+
+
 @pytest.mark.parametrize(("turn_deg", "count"), [(12.0, COUNT * COUNT), (0.0, 20)])
 def test_stones_that_turn_and_few_ones_are_not_known_to_be_straight(fit: Fit, turn_deg: float, count: int):
     segments, field = sides_turned(fit, ALONG_X, turn_deg)
     some = segments.take(np.r_[:count, COUNT * COUNT : COUNT * COUNT + count])
-    assert not straight(scatters(some, fit, field))
+    assert not straight(directions(some, fit, field))
 
 
 @pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])

@@ -19,6 +19,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.stations import joints_of
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.paving.presence import Presence
+from autoreg.solve.freedom import log_stretch
 from autoreg.spread import spread_about
 
 # Stations that are off by less than this many standard deviations carried the fit.
@@ -29,6 +30,8 @@ UNSURE_DEG = 2.0
 # Sides that differ by less than the first share are one; the lengths of a row's slabs tell which side is its
 # width where one side is longer by the second.
 SAME_SIDE, TOLD_SIDE = 0.01, 0.25
+# Logarithm, and standard deviations, by which the joints' own ratio of sides is another one than was told.
+OTHER_RATIO, OTHER_RATIO_SIGMAS = 0.003, 4.0
 
 
 @dataclass(frozen=True)
@@ -245,4 +248,38 @@ def unsure(pose: Pose, source: CameraSource, *, slab_told: bool) -> tuple[str, .
         f"no camera file was given, and how the camera is turned is known to ± {turn_deg:.1f}° only (one "
         "standard deviation): the lines lie on the joints, but what stands on the ground may lean, or look "
         f"too tall or too low; give the camera with --camera{by_slab}",
+    )
+
+
+def unlike_slab(fit: Fit, slab: tuple[float, float], ratio_sigma: float, scale: float) -> tuple[str, ...]:
+    """The warning that the joints show sides in another ratio than a slab's as it was told.
+
+    Args:
+        fit: the last one.
+        slab: sides as they were told, in metres.
+        ratio_sigma: standard deviation of the logarithm of the fit's ratio.
+        scale: metres per unit of the fit.
+    """
+    a, b = fit.grid.spacing_x, fit.grid.spacing_y
+    if a is None:
+        return ()
+    sure = max(OTHER_RATIO, OTHER_RATIO_SIGMAS * ratio_sigma)
+    off = abs(log_stretch(a, b, slab))
+    if off < sure:
+        return ()
+    short, long = sorted(slab)
+    # The joints are as wide as they look on average.
+    joint = scale * float(np.mean(fit.strip.width))
+    with_joint = (long + joint, short + joint)
+    without = abs(log_stretch(a, b, with_joint)) < max(sure, 0.5 * off)
+    wide_mm, lengths_m = f"{1e3 * joint:.0f} mm", f"{with_joint[0]:.3f}x{with_joint[1]:.3f}"
+    advice = (
+        f"with the joints, {wide_mm} wide, the slabs would have it: give {lengths_m}"
+        if without
+        else "measure a slab from the middle of one joint to that of the next, or check the camera"
+    )
+    return (
+        f"the joints lie in the ratio {max(a, b) / min(a, b):.4f} (± {ratio_sigma:.4f}), the sides given "
+        f"with --slab in {long / short:.4f}: the pose follows the joints, and its scale may be off by "
+        f"{100 * off:.1f} %; {advice}",
     )

@@ -8,6 +8,7 @@ import numpy as np
 
 from autoreg.answer.last_step import likeliest
 from autoreg.answer.refusals import (
+    ambiguous,
     arcs,
     askew,
     fanned,
@@ -15,6 +16,8 @@ from autoreg.answer.refusals import (
     focal_untold,
     maybe_wall,
     no_lattice,
+    off_lattice,
+    one_edged,
     turning,
 )
 from autoreg.answer.right_angles import Squared, square_up
@@ -23,18 +26,26 @@ from autoreg.errors import Refusal
 from autoreg.fitting.bare_steps import from_near_rims
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.lit_walls import beside_lit_walls
+from autoreg.fitting.one_edge import one_edge, with_both_edges
 from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.sight import Sight
 from autoreg.paving.corrections import with_measured_shift
 from autoreg.paving.inner_joints import inner_share
-from autoreg.paving.lattice_choice import Paving, line_evidence, presented
+from autoreg.paving.lattice_choice import Paving, line_evidence, of_joints_alone, presented
 from autoreg.paving.presence import presence_of
 from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
 from autoreg.rows.slab_lengths import longer_than_wide, slab_lengths
-from autoreg.rows.turning_stones import AROUND, common_turn, scatters, straight, turn_of_rows
+from autoreg.rows.turning_stones import (
+    AROUND,
+    common_turn,
+    directions,
+    straight,
+    turn_of_rows,
+    turned_alike,
+)
 from autoreg.segments import Segments
 from autoreg.slabs.uncertainty import Settled
 from autoreg.solve.freedom import Free
@@ -78,7 +89,7 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
     fit, crossing = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA)), found.crossing
     field = found.paving.presence.field
     change = change_of_lean(sight.segments, fit, field)
-    ruled = straight(scatters(sight.segments, fit, field)[:1])
+    ruled = straight(directions(sight.segments, fit, field)[:1])
     turn = None if ruled else turn_of_rows(sight.segments, fit, field)
     bowed = arcs(common_arc(fit)) or fanned(change) or turning(turn)
     if bowed is not None:
@@ -112,6 +123,9 @@ def measured_slabs(
     settled = presented(small, _at_detection_scale(fit, small, start), within=start.within)
     if settled is None or settled.margin_nats < 0:
         raise no_lattice(settled, None)
+    coarser = of_joints_alone(small, settled)
+    if coarser is not None:
+        raise ambiguous(settled, coarser)
     full = filled(inner_share(sight.segments, fit, settled.presence.field))
     if full is not None:
         raise full
@@ -130,12 +144,15 @@ def _bowed(fit: Fit) -> Refusal | None:
 
 
 def _turned(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
-    """The refusal of a lattice whose stones turn, within its field or around it; None if they may not."""
-    scattered = scatters(segments, fit, field)
-    margins = (0.0,) if straight(scattered) else (0.0, AROUND)
+    """The refusal of a lattice whose stones turn, or lie across it; None if they may not.
+
+    They do so within its field, or turn in what lies around it.
+    """
+    run = directions(segments, fit, field)
+    margins = (0.0,) if straight(run) else (0.0, AROUND)
     turns = (common_turn(segments, fit, field, margin=margin) for margin in margins)
     turned = next((refusal for turn in turns if (refusal := turning(turn))), None)
-    return turned or askew(scattered)
+    return turned or askew(run) or off_lattice(turned_alike(run))
 
 
 def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free) -> Squared:
@@ -185,6 +202,10 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
         )  # fmt: skip
         again = None if grown is None else measured(grown.grid, grown)
         fit = again if again is not None and again.missed < fit.missed else fit
+    fit = with_both_edges(picture, fit, reach=REACH, field=field)
+    halved = one_edged(max(one_edge(fit)))
+    if halved is not None:
+        raise halved
     for _ in range(MOST_SHIFTS):
         shifted = with_measured_shift(fit)
         if shifted is None:

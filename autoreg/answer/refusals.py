@@ -12,12 +12,14 @@ from autoreg.alignment import CameraSource
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
+from autoreg.fitting.one_edge import MOST as MOST_ONE_EDGED
 from autoreg.ground.ground_planes import FRONTAL_RAD, LEVEL_RAD
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_choice import RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows.arcs import Arc
 from autoreg.rows.cross_joints import Lean
 from autoreg.rows.rows import Rows
+from autoreg.rows.turning_stones import Directions
 
 # Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs
 # seen with this camera. What slabs and their laying are off square is a tenth of it.
@@ -28,6 +30,9 @@ MOST_FANNED_DEG, FANNED_SIGMAS = 8.0, 2.5
 # Both families of a lattice's joints do not scatter in direction by more than this. Of right answers the
 # family with less of it does by 4.2 at most (wickerwork; elsewhere by 2.1), of waves that passed by 6.4.
 MOST_ASKEW_DEG = 5.5
+# Joints run along their lattice: those of pinwheels of large and small squares lie 2 degrees across what
+# looks like a lattice of theirs, others by 0.3 at most.
+MOST_OFF_DEG, OFF_SIGMAS = 1.0, 5.0
 # Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
 MOST_ARC_DEG, ARC_SIGMAS = 3.5, 4.0
 # Of the edges along a lattice's joints so many lie inside its slabs, over the share of those that lie
@@ -150,6 +155,18 @@ def _upside_down(R: Float[np.ndarray, "3 3"]) -> Refusal:
     )
 
 
+def on_its_side(quarters: int) -> Refusal:
+    """The refusal of a photo that shows paving only if it is turned clockwise by so many quarters."""
+    degrees = 90 * quarters
+    return Refusal(
+        "not_ground",
+        f"a lattice lies on the ground only if this photo is turned clockwise by {degrees} degrees: turn it "
+        "if it does not stand upright, and its camera with it; as it is, the lattice is that of a wall",
+        measured=float(degrees),
+        limit=0.0,
+    )
+
+
 def focal_untold(
     kind: Literal["rows", "slabs"], focal_px: float | None, sigma_log_focal: float, limit: float
 ) -> Refusal:
@@ -241,14 +258,10 @@ def turning(turn: Lean | None) -> Refusal | None:
     )
 
 
-def askew(scatters: Sequence[float | None]) -> Refusal | None:
-    """The refusal of stones both families of whose joints scatter in direction; None if they may not.
-
-    Args:
-        scatters: standard deviation of each family's directions in radians, or None.
-    """
-    known = [float(np.degrees(s)) for s in scatters if s is not None]
-    if len(known) < len(scatters) or min(known) < MOST_ASKEW_DEG:
+def askew(run: Sequence[Directions | None]) -> Refusal | None:
+    """The refusal of stones both families of whose joints scatter in direction; None if they do not."""
+    known = [float(np.degrees(family.scatter)) for family in run if family is not None]
+    if len(known) < len(run) or min(known) < MOST_ASKEW_DEG:
         return None
     return Refusal(
         "no_lattice",
@@ -256,6 +269,17 @@ def askew(scatters: Sequence[float | None]) -> Refusal | None:
         "as those of waves, fans and crazy paving do; photograph slabs in straight rows",
         measured=min(known),
         limit=MOST_ASKEW_DEG,
+    )
+
+
+def off_lattice(turn: Lean | None) -> Refusal | None:
+    """The refusal of a lattice across which its stones lie; None if they do not."""
+    return _curved(
+        turn,
+        MOST_OFF_DEG,
+        OFF_SIGMAS,
+        "what repeats here does so {:.1f} degrees askew of its joints, as patterns of stones of several "
+        "sizes do; photograph slabs in straight rows",
     )
 
 
@@ -267,6 +291,20 @@ def arcs(arc: Arc | None) -> Refusal | None:
         ARC_SIGMAS,
         "the joints along these rows are arcs, which turn by {:.0f} degrees from end to end, as those of "
         "fans and waves do; photograph slabs in straight rows",
+    )
+
+
+def one_edged(share: float) -> Refusal | None:
+    """The refusal of joints of which only one edge was met, as `one_edge` tells it; None if both were."""
+    if share <= MOST_ONE_EDGED:
+        return None
+    return Refusal(
+        "no_lattice",
+        f"the ground beside these joints differs from one side to the other by {100 * share:.0f} % of their "
+        "contrast, the same way at every joint, as where only one edge of wide joints was met; photograph "
+        "slabs with joints narrower than a tenth of them, or from farther away",
+        measured=round(share, 2),
+        limit=MOST_ONE_EDGED,
     )
 
 

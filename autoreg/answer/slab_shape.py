@@ -49,6 +49,8 @@ def of_slab_shape(
     by_its_focal = _by_another_focal(small, found, slab, free) if free.focal else None
     if by_its_focal is not None:
         return by_its_focal
+    if has_ratio(found.fit.grid, slab) and free.ratio:
+        return found
     if has_ratio(found.fit.grid, slab):
         return replace(found, fit=with_slab_ratio(found.fit, slab))
     raise slab_mismatch(found.fit, slab, camera_told=not free.focal)

@@ -206,7 +206,7 @@ def _round(
     # While joints are searched farther off the next round solves again.
     for _ in range(1 if rough else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
-        solution = solve_joints(data, free.mask, free.prior(camera), rough=rough)
+        solution = solve_joints(data, free.mask, free.prior(camera, grid), rough=rough)
         moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
         if solution.outcome == "diverged" or not _plausible(moved, new_grid):
             return fit

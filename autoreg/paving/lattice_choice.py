@@ -131,8 +131,24 @@ def suited(
                 fit = with_pattern(paving.fit, *pair)
                 other = None if fit is None or not has_ratio(fit.grid, slab) else presented(picture, fit)
                 if other is not None:
-                    found.append(other)
+                    # Halves of a slab have its shape.
+                    alone = of_joints_alone(picture, other)
+                    found.append(alone if alone is not None and has_ratio(alone.grid, slab) else other)
     return tuple(sorted((p for p in found if has_ratio(p.grid, slab)), key=lambda p: -p.margin_nats))
+
+
+def of_joints_alone(picture: Float[np.ndarray, "h w"], paving: Paving) -> Paving | None:
+    """The coarser lattice within one whose sides alone are joints; None if they all are.
+
+    Edges of smaller stones beside a field may lie where halves of its slabs would have joints.
+    """
+    along_x, along_y = (true_sides(paving.clearest, family) for family in (ALONG_X, ALONG_Y))
+    if along_x.period == along_y.period == 1 or along_x.advance or along_y.advance:
+        return None
+    whole = Pattern(1, 0, 0, 0.0)
+    wider = with_pattern(paving.fit, whole, along_y) or paving.fit
+    fit = with_pattern(wider, along_x, whole) or wider
+    return None if fit is paving.fit else presented(picture, fit, within=paving.within)
 
 
 def has_ratio(grid: Grid, slab: tuple[float, float]) -> bool:

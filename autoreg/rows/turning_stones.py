@@ -7,6 +7,8 @@ straight. But a stone's joints turn with it, both alike, and those that were lef
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 
@@ -48,19 +50,54 @@ def common_turn(
     return max(alike, key=lambda turn: abs(turn.angle), default=None)
 
 
-def scatters(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> tuple[float | None, ...]:
-    """Standard deviations of the directions of the joints within a field, along X and along Y.
+@dataclass(frozen=True)
+class Directions:
+    """How the joints of one family run: off the lattice's direction in the median, and how they scatter.
 
-    In radians, robust; None where too few are seen. The fit is at the photo's own resolution.
+    In radians, counterclockwise; the `scatter` is a robust standard deviation of one joint's direction.
+    """
+
+    off: float
+    scatter: float
+    count: int
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the median."""
+        return MEDIAN_LOSS * self.scatter / float(np.sqrt(self.count))
+
+
+def directions(
+    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]
+) -> tuple[Directions | None, ...]:
+    """How the joints within a field run, those along X and those along Y; None where too few are seen.
+
+    The fit is at the photo's own resolution.
     """
     ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
     found = (_off(ground, fit, field, family)[0] for family in (ALONG_X, ALONG_Y))
-    return tuple(spread(off) if len(off) >= 3 * FEWEST_SEGMENTS else None for off in found)
+    return tuple(
+        Directions(float(np.median(off)), spread(off), len(off)) if len(off) >= 3 * FEWEST_SEGMENTS else None
+        for off in found
+    )
 
 
-def straight(scatters: tuple[float | None, ...]) -> bool:
+def straight(run: tuple[Directions | None, ...]) -> bool:
     """Whether joints scatter so little that their stones cannot turn; False where too few are seen."""
-    return all(scatter is not None and scatter < STRAIGHT_RAD for scatter in scatters)
+    return all(family is not None and family.scatter < STRAIGHT_RAD for family in run)
+
+
+def turned_alike(run: tuple[Directions | None, ...]) -> Lean | None:
+    """By how much the joints of both families are turned alike from the lattice's directions.
+
+    The less of both families' angles, and the greater of their standard deviations; None where too few joints
+    are seen, or the families are not turned the same way.
+    """
+    known = [family for family in run if family is not None]
+    if len(known) < 2 or known[0].off * known[1].off <= 0:
+        return None
+    less = min(known, key=lambda family: abs(family.off))
+    return Lean(less.off, max(family.sigma for family in known))
 
 
 def turn_of_rows(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:

@@ -95,7 +95,7 @@ def check_camera(
     def asked(*, search: bool) -> tuple[Estimate, float, Float[np.ndarray, "4"], bool]:
         # Joints that lie off since the camera is wrong lie off with both edges: widths would be misread.
         told = estimate_motion(
-            fit, free.mask, free.prior(fit.camera), scatter, bow=BOW, widths=False, search=search
+            fit, free.mask, free.prior(fit.camera, fit.grid), scatter, bow=BOW, widths=False, search=search
         )
         chi_square, shift = _contradiction(fit, fit, told)
         odd = told.scatter.aside > UNEVEN * side or fit.missed > MISSED or customary != fit.grid.shift
@@ -112,7 +112,7 @@ def check_camera(
             if _off_axis(freed) > MOST_OFF_AXIS:
                 continue
             motion = estimate_motion(
-                freed, free.mask, free.prior(freed.camera), both.scatter, bow=BOW, widths=False
+                freed, free.mask, free.prior(freed.camera, freed.grid), both.scatter, bow=BOW, widths=False
             )
             tried.append(_Told(freed, motion, *_contradiction(given, freed, motion)))
             # A free camera that neither makes the slabs evener nor meets more joints is no better one.

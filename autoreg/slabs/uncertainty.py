@@ -11,13 +11,16 @@ from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import joint_data
 from autoreg.geometry import Rigid
 from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
-from autoreg.solve.freedom import moved_camera, moved_pose, stretched
+from autoreg.solve.freedom import log_stretch, moved_camera, moved_pose, stretched
 from autoreg.solve.joint_data import PARAMETERS, RATIO
 from autoreg.solve.solver import solve_joints
 
 # Where the camera is solved for, the likeliest pose may be so far from the fit that the Jacobian there is
 # another one. What a motion leaves may be wrong by this share (RMS), else it goes on from there, so often.
 STRAIGHT, MOST_MOVES = 0.03, 6
+# A slab's ratio of sides that the joints' own is no more standard deviations from is the right one: those of
+# nominal sizes, without the joints, are tens of them off.
+TOLD_RATIO_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,8 @@ class Settled:
 
     `covariance` is of (rotation vector, translation) of a small motion on the camera's side. `relieved` is
     how far on the ground joints were moved since they are no flat ones (RMS). `narrowing` is by what share of
-    their width joints look narrower at a slope of one than from above, as sunk ones do.
+    their width joints look narrower at a slope of one than from above, as sunk ones do. `ratio_sigma` is the
+    standard deviation of the logarithm of the sides' ratio.
     """
 
     fit: Fit
@@ -34,6 +38,7 @@ class Settled:
     scatter: Scatter
     relieved: float = 0.0
     narrowing: float = 0.0
+    ratio_sigma: float = 0.0
 
 
 def settle(fit: Fit, *, widths: bool = True) -> Settled:
@@ -52,14 +57,38 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
         estimate, moved = _likeliest(fit, widths)
     covariance = on_camera_side(estimate.covariance, moved.cam_from_ground)
     by_relief = (fit.solution.jacobian @ estimate.by_relief / fit.profiles.px_per_unit)[fit.usable]
-    return Settled(moved, covariance, estimate.scatter, _rms(by_relief))
+    ratio_sigma = float(np.sqrt(estimate.covariance[RATIO, RATIO]))
+    return Settled(moved, covariance, estimate.scatter, _rms(by_relief), ratio_sigma=ratio_sigma)
 
 
 def _likeliest(fit: Fit, widths: bool) -> tuple[Estimate, Fit]:
     """The likeliest motion of what a fit solves for, and the fit moved by it."""
     bow = BOW if fit.free.focal else 0.0
-    estimate = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera), bow=bow, widths=widths)
-    return estimate, moved_fit(fit, estimate.parameters)
+    estimate = estimate_motion(
+        fit, fit.free.mask, fit.free.prior(fit.camera, fit.grid), bow=bow, widths=widths
+    )
+    held = _with_told_ratio(fit, estimate)
+    moved = moved_fit(fit, (held or estimate).parameters)
+    return (estimate, moved) if held is None else (held, replace(moved, free=replace(fit.free, ratio=False)))
+
+
+def _with_told_ratio(fit: Fit, estimate: Estimate) -> Estimate | None:
+    """An estimate with the sides in the ratio that was told, if the joints cannot tell theirs from it."""
+    a, b, slab = fit.grid.spacing_x, fit.grid.spacing_y, fit.free.slab
+    if a is None or slab is None or not fit.free.ratio:
+        return None
+    off = log_stretch(a, b, slab) + float(estimate.parameters[RATIO])
+    variance = float(estimate.covariance[RATIO, RATIO])
+    if abs(off) > TOLD_RATIO_SIGMAS * np.sqrt(variance):
+        return None
+    # Of normal values, one of which is known, the others' mean and covariance.
+    gain = estimate.covariance[RATIO] / variance
+    return replace(
+        estimate,
+        parameters=estimate.parameters - off * gain,
+        by_relief=estimate.by_relief - estimate.by_relief[RATIO] * gain,
+        covariance=estimate.covariance - variance * np.outer(gain, gain),
+    )
 
 
 def moved_fit(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:

@@ -20,11 +20,14 @@ class Free:
     """What the solve may change besides the pose, and how far a prior lets it go.
 
     `radial` is the first radial coefficient, `bent` what else bends lines: the second one, and the tangential
-    ones. `step_sigma` holds every single solve near its start: so many radians, and heights of the camera.
-    Joints of one direction leave motions free that must not wander.
+    ones. `slab` are the sides of a slab as somebody told them, in either order, whose ratio is good for
+    `ratio_sigma` (logarithm). `step_sigma` holds every single solve near its start: so many radians, and
+    heights of the camera. Joints of one direction leave motions free that must not wander.
     """
 
     ratio: bool = False
+    slab: tuple[float, float] | None = None
+    ratio_sigma: float = np.inf
     focal: bool = False
     centre: bool = False
     radial: bool = False
@@ -60,9 +63,15 @@ class Free:
         mask[terms.SECOND_RADIAL] = mask[terms.TANGENTIAL] = self.bent
         return mask
 
-    def prior(self, camera: Camera) -> Prior:
-        """What is known of a solve's parameters when it starts from `camera`: the nominal one is meant."""
+    def prior(self, camera: Camera, grid: Grid | None = None) -> Prior:
+        """What is known of a solve's parameters when it starts from a camera and a lattice.
+
+        The nominal camera is meant, and a slab as it was told, its longer side where the lattice's is.
+        """
         mean, sigma = np.zeros(PARAMETERS), np.full(PARAMETERS, np.inf)
+        if self.slab is not None and grid is not None and grid.spacing_x is not None:
+            mean[terms.RATIO] = -log_stretch(grid.spacing_x, grid.spacing_y, self.slab)
+            sigma[terms.RATIO] = self.ratio_sigma
         sigma[terms.FOCAL], sigma[terms.CENTRE] = self.focal_sigma, self.centre_sigma_px
         sigma[terms.RADIAL], sigma[terms.ASPECT] = self.radial_sigma, self.aspect_sigma
         sigma[terms.SECOND_RADIAL], sigma[terms.TANGENTIAL] = self.second_radial_sigma, self.tangential_sigma
@@ -74,6 +83,12 @@ class Free:
             mean[terms.RADIAL], mean[terms.SECOND_RADIAL], mean[terms.TANGENTIAL] = lens[0], lens[1], lens[2:]
             mean[terms.ASPECT] = np.log(self.nominal.fy / self.nominal.fx * camera.fx / camera.fy)
         return Prior(mean, sigma)
+
+
+def log_stretch(spacing_x: float, spacing_y: float, slab: tuple[float, float]) -> float:
+    """Logarithm by which a lattice's ratio of sides x / y is beyond a slab's, told in either order."""
+    told = float(np.log(max(slab) / min(slab)))
+    return float(np.log(spacing_x / spacing_y)) - (told if spacing_x > spacing_y else -told)
 
 
 def moved_pose(pose: Rigid, solution: Solution) -> Rigid:
