@@ -21,7 +21,7 @@ from autoreg.answer.conclude import (
 from autoreg.answer.full_resolution import REACH, Laid, measured_rows, measured_slabs
 from autoreg.answer.last_step import rested
 from autoreg.answer.refusals import focal_implausible, focal_untold, leaning, maybe_wall, on_its_side
-from autoreg.answer.slab_shape import plausible_focal
+from autoreg.answer.slab_shape import plausible_focal, strain
 from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
@@ -52,6 +52,8 @@ MOST_SLABS_FOCAL_SIGMA = 0.25
 # Logarithm by which the ratio of a slab's sides may be off as somebody tells it, as a standard deviation:
 # bricks of 200 x 100 mm lie 205 x 105 apart where their joints are left out.
 SLAB_RATIO_SIGMA = 0.01
+# Slabs and camera heights that are told lie within, in metres.
+LENGTHS_M = (1e-6, 1e6)
 # Refusals that have a reason of their own, which no other camera would take away.
 OWN_REASONS = {"not_ground", "slab_mismatch", "camera_contradicted"}
 
@@ -70,7 +72,8 @@ def align(
         photo: grey or BGR picture.
         camera: its calibrated camera, or None to take the focal length from `exif_focal_px`, else from the
             photo's own joints.
-        slab: sides of a slab in metres, in either order.
+        slab: sides of a slab in metres, from joint to joint, in either order. The pose follows the joints
+            where these have another ratio, and a warning says so.
         camera_height: height of the camera above the paving in metres, instead of `slab`.
         exif_focal_px: focal length in pixels that the photo's EXIF data claim. Where the photo's own joints
             contradict it, theirs is taken.
@@ -288,6 +291,7 @@ def _concluded(
     told_by, asked = (laid.likeliest.fit, None) if source == "photo" else (fit, picture)
     check = check_camera(told_by, asked, field, laid.likeliest.scatter)
     last = rested(picture, laid.likeliest, REACH, field)
+    strained = strain(last.fit.camera, laid.fit.free)
     fit, told = last.fit, fit.grid.spacing_x is not None
     if source == "photo" and told and check.focal_sigma_px > MOST_SLABS_FOCAL_SIGMA * check.focal_px:
         sigma = check.focal_sigma_px / check.focal_px
@@ -297,9 +301,9 @@ def _concluded(
     scale, scale_source = metric_scale(fit, slab, camera_height, laid.longer)
     frame = canonical_frame(fit, settled.presence, laid.crossing)
     pose = frame.pose(fit.cam_from_ground)
-    covariance = frame.covariance(last.covariance, fit.cam_from_ground)
+    covariance = frame.covariance(strained * last.covariance, fit.cam_from_ground)
     covariance = scaled_covariance(covariance, pose, scale, height_held=scale_source == "camera_height")
-    focal, focal_sigma = (check.focal_px, check.focal_sigma_px) if told else (None, None)
+    focal, focal_sigma = (check.focal_px, strained**0.5 * check.focal_sigma_px) if told else (None, None)
     if squared is not None:
         focal, focal_sigma = fit.camera.fx, fit.camera.fx * squared.sigma_log_focal
     answer = Pose(Rigid(pose.R, scale * pose.t), covariance)
@@ -361,21 +365,33 @@ def _check_arguments(
     slab: tuple[float, float] | None,
     camera_height: float | None,
 ) -> None:
+    if _no_camera(camera):
+        raise ValueError(f"camera: a Camera or None is wanted, got {type(camera).__name__}; see read_camera")
     if camera is not None and (camera.width, camera.height) != (width, height):
         size = f"{camera.width}x{camera.height}"
         raise ValueError(f"camera: is for {size} pixels, the photo has {width}x{height}")
     if slab is not None and camera_height is not None:
         raise ValueError("slab, camera_height: give one of them, both set the scale")
-    if slab is not None and not _two_lengths(slab):
-        raise ValueError(f"slab: two positive lengths in metres are wanted, such as (0.6, 0.4), got {slab!r}")
-    if camera_height is not None and not (np.isfinite(camera_height) and camera_height > 0):
-        raise ValueError(f"camera_height: must be a positive length in metres, got {camera_height}")
+    if slab is not None and not _lengths(slab, (2,)):
+        raise ValueError(
+            f"slab: two lengths in metres are wanted, such as (0.6, 0.4), {_within()}, got {slab!r}"
+        )
+    if camera_height is not None and not _lengths(camera_height, ()):
+        raise ValueError(f"camera_height: must be a length in metres, {_within()}, got {camera_height!r}")
 
 
-def _two_lengths(slab: object) -> bool:
-    """Whether a caller's slab is what its type says."""
+def _no_camera(camera: object) -> bool:
+    return not (camera is None or isinstance(camera, Camera))
+
+
+def _lengths(value: object, shape: tuple[int, ...]) -> bool:
+    """Whether a caller's lengths are what their type says, and such as something on earth may have."""
     try:
-        sides = np.asarray(slab, float)
+        metres = np.asarray(value, float)
     except (TypeError, ValueError):
         return False
-    return sides.shape == (2,) and bool((np.isfinite(sides) & (sides > 0)).all())
+    return metres.shape == shape and bool(((metres >= LENGTHS_M[0]) & (metres <= LENGTHS_M[1])).all())
+
+
+def _within() -> str:
+    return f"each from {LENGTHS_M[0]:g} to {LENGTHS_M[1]:g}"

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from autoreg.align import align
-from autoreg.answer.slab_shape import plausible_focal, seen_alike
+from autoreg.answer.slab_shape import plausible_focal, seen_alike, strain
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.geometry import angle_between_rotations
@@ -122,3 +122,12 @@ def test_focal_lengths_are_judged_by_what_is_known_beforehand() -> None:
         camera = Camera.from_focal(960, 720, 960.0 * times)
         assert plausible_focal(camera, known) is plausible
         assert plausible_focal(camera, Free())
+
+
+def test_a_principal_point_far_off_makes_an_answer_less_sure_and_a_usual_one_does_not() -> None:
+    known = Free(focal=True, centre=True, nominal=CAMERA, focal_sigma=0.5, centre_sigma_px=20.0)
+    assert strain(CAMERA, known) == 1.0
+    assert strain(replace(CAMERA, cx=CAMERA.cx + 25.0), known) == 1.0
+    assert strain(replace(CAMERA, cx=CAMERA.cx + 60.0, cy=CAMERA.cy - 80.0), known) == pytest.approx(12.5)
+    # One that is given is known.
+    assert strain(replace(CAMERA, cx=CAMERA.cx + 90.0), Free()) == 1.0

@@ -20,8 +20,8 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.image import as_gray
 from autoreg.slabs import camera_check
 from autoreg.slabs.camera_check import check_camera
-from autoreg.slabs.slab_model import estimate_motion
-from autoreg.slabs.uncertainty import Settled, moved_fit, relinearised, settle
+from autoreg.slabs.slab_model import Estimate, Scatter, estimate_motion
+from autoreg.slabs.uncertainty import Settled, _with_told_ratio, moved_fit, relinearised, settle
 from autoreg.solve.freedom import Free
 from autoreg.solve.joint_data import FOCAL, PARAMETERS, RATIO
 from autoreg.solve.solver import Prior
@@ -377,3 +377,26 @@ def test_so_few_lines_that_any_camera_suits_them_contradict_none(
     )
     picture = np.zeros((stack_fit.camera.height, stack_fit.camera.width), np.float32)
     assert check_camera(few, picture).consistent
+
+
+@pytest.mark.parametrize(
+    ("off", "sigma", "held"), [(1e-3, 1e-3, True), (3e-3, 1e-3, False), (1e-3, 5e-3, False)],
+    ids=["told exactly", "nominal sizes", "joints that hardly tell it"],
+)  # fmt: skip
+def test_a_ratio_that_was_told_is_held_where_the_joints_confirm_it(
+    stack_fit: Fit, off: float, sigma: float, held: bool
+) -> None:
+    ratio = 1.5 * np.exp(-off)
+    free = Free(ratio=True, slab=(ratio, 1.0), ratio_sigma=0.01)
+    covariance = np.diag(np.full(PARAMETERS, 1e-8))
+    covariance[RATIO, RATIO] = sigma**2
+    covariance[0, RATIO] = covariance[RATIO, 0] = 5e-5 * sigma
+    nothing = np.zeros(PARAMETERS)
+    estimate = Estimate(nothing, nothing, covariance, Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0))
+    told = _with_told_ratio(replace(stack_fit, free=free), estimate)
+    assert (told is not None) == held
+    if told is not None:
+        assert told.parameters[RATIO] == pytest.approx(-off)
+        assert told.parameters[0] == pytest.approx(-off * 5e-5 / sigma)
+        assert told.covariance[RATIO] == pytest.approx(0.0, abs=1e-15)
+        assert told.covariance[0, 0] == pytest.approx(1e-8 - 5e-5**2)

@@ -142,6 +142,17 @@ def plausible_focal(camera: Camera, free: Free) -> bool:
     return abs(float(_sigmas_off(camera, free)[0])) < MOST_SIGMAS
 
 
+def strain(camera: Camera, free: Free) -> float:
+    """By how much more a principal point is off than what is known of it allows, in variance; 1 at the least.
+
+    The Birge ratio: joints that put it many standard deviations from the middle of the picture, where it
+    hardly ever is, are off by more than their scatter says, as bent ground and uneven courses are.
+    """
+    if free.nominal is None or not np.isfinite(free.centre_sigma_px):
+        return 1.0
+    return max(1.0, 0.5 * float(np.sum(_sigmas_off(camera, free)[1:] ** 2)))
+
+
 def _plausible_by_slab(camera: Camera, free: Free) -> bool:
     return float(np.linalg.norm(_sigmas_off(camera, free))) < MOST_SIGMAS_BY_SLAB
 

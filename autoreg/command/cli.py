@@ -69,7 +69,8 @@ def align_command(
         str | None, typer.Option(metavar="X,Y,W,H", help="Part of the calibrated frame that the photo shows.")
     ] = None,
     slab: Annotated[
-        str | None, typer.Option(metavar="AxB", help="Sides of a slab in metres, either order: 0.6x0.4.")
+        str | None,
+        typer.Option(metavar="AxB", help="Sides of a slab in metres, from joint to joint: 0.6x0.4."),
     ] = None,
     camera_height: Annotated[
         float | None, typer.Option(metavar="METRES", help="Camera's height above the ground.")

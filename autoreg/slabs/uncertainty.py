@@ -21,6 +21,8 @@ STRAIGHT, MOST_MOVES = 0.03, 6
 # A slab's ratio of sides that the joints' own is no more standard deviations from is the right one: those of
 # nominal sizes, without the joints, are tens of them off.
 TOLD_RATIO_SIGMAS = 2.0
+# ... if they tell theirs this much better than what is said of a slab is known.
+CONFIRMED = 0.25
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ def _with_told_ratio(fit: Fit, estimate: Estimate) -> Estimate | None:
         return None
     off = log_stretch(a, b, slab) + float(estimate.parameters[RATIO])
     variance = float(estimate.covariance[RATIO, RATIO])
-    if abs(off) > TOLD_RATIO_SIGMAS * np.sqrt(variance):
+    sigma = float(np.sqrt(variance))
+    if abs(off) > TOLD_RATIO_SIGMAS * sigma or sigma > CONFIRMED * fit.free.ratio_sigma:
         return None
     # Of normal values, one of which is known, the others' mean and covariance.
     gain = estimate.covariance[RATIO] / variance
