@@ -49,9 +49,9 @@ SECOND_RADIAL_SIGMA, TANGENTIAL_SIGMA = 0.1, 0.001
 # Slabs tell the tilt in any case. Their camera's height goes with the focal length: where it may be wrong by
 # half, the photo has not told it.
 MOST_SLABS_FOCAL_SIGMA = 0.25
-# Logarithm by which the ratio of a slab's sides may be off as somebody tells it, as a standard deviation:
-# bricks of 200 x 100 mm lie 205 x 105 apart where their joints are left out.
-SLAB_RATIO_SIGMA = 0.01
+# By how much of its length a slab's side is measured wrong, as a standard deviation, and how wide a joint is,
+# in metres, that sides leave out as nominal ones do: bricks of 200 x 100 mm lie 205 x 105 mm apart.
+SIDE_SIGMA, LEFT_OUT_M = 0.002, 0.005
 # Slabs and camera heights that are told lie within, in metres.
 LENGTHS_M = (1e-6, 1e6)
 # Refusals that have a reason of their own, which no other camera would take away.
@@ -306,6 +306,8 @@ def _concluded(
     focal, focal_sigma = (check.focal_px, strained**0.5 * check.focal_sigma_px) if told else (None, None)
     if squared is not None:
         focal, focal_sigma = fit.camera.fx, fit.camera.fx * squared.sigma_log_focal
+    unlike = unlike_slab(fit, slab, last.ratio_sigma, scale) if source == "file" and slab else None
+    consistent = check.consistent and not (unlike is not None and unlike.contradicts)
     answer = Pose(Rigid(pose.R, scale * pose.t), covariance)
     return Alignment(
         width=fit.camera.width,
@@ -314,7 +316,7 @@ def _concluded(
             fit.camera,
             source,
             # Rows tell too little of a camera to vouch for it.
-            None if source == "photo" or (check.consistent and not told) else check.consistent,
+            None if source == "photo" or (consistent and not told) else consistent,
             focal,
             focal_sigma,
         ),
@@ -325,7 +327,7 @@ def _concluded(
         joints=fitted_joints(fit, frame),
         warnings=(
             *unsure(answer, source, slab_told=slab is not None),
-            *(unlike_slab(fit, slab, last.ratio_sigma, scale) if source == "file" and slab else ()),
+            *(() if unlike is None else (unlike.warning,)),
         ),
     )
 
@@ -339,7 +341,7 @@ def _freedom(
     of the principal point. The other stays at the picture's centre, and its uncertainty goes into the pose.
     """
     if source == "file":
-        return Free(ratio=True, slab=slab, ratio_sigma=SLAB_RATIO_SIGMA)
+        return Free(ratio=True, slab=slab, ratio_sigma=_ratio_sigma(slab))
     nominal = camera or Camera.from_focal(width, height, float(max(width, height)))
     return Free(
         ratio=slab is None,
@@ -356,6 +358,15 @@ def _freedom(
         second_radial_sigma=SECOND_RADIAL_SIGMA,
         tangential_sigma=TANGENTIAL_SIGMA,
     )
+
+
+def _ratio_sigma(slab: tuple[float, float] | None) -> float:
+    """Standard deviation of the logarithm of a slab's ratio of sides, as somebody tells it."""
+    if slab is None:
+        return np.inf
+    short, long = sorted(slab)
+    joints = np.log((long + LEFT_OUT_M) / (short + LEFT_OUT_M) * short / long)
+    return float(np.hypot(2**0.5 * SIDE_SIGMA, joints))
 
 
 def _check_arguments(
