@@ -52,6 +52,8 @@ MOST_SLABS_FOCAL_SIGMA = 0.25
 # By how much of its length a slab's side is measured wrong, as a standard deviation, and how wide a joint is,
 # in metres, that sides leave out as nominal ones do: bricks of 200 x 100 mm lie 205 x 105 mm apart.
 SIDE_SIGMA, LEFT_OUT_M = 0.002, 0.005
+# Logarithm of a ratio that joints change by less is that of sides as good as equal.
+ALIKE_SIDES = 0.001
 # Slabs and camera heights that are told lie within, in metres.
 LENGTHS_M = (1e-6, 1e6)
 # Refusals that have a reason of their own, which no other camera would take away.
@@ -341,7 +343,12 @@ def _freedom(
     of the principal point. The other stays at the picture's centre, and its uncertainty goes into the pose.
     """
     if source == "file":
-        return Free(ratio=True, slab=slab, ratio_sigma=_ratio_sigma(slab))
+        left_out = None if slab is None else _left_out(slab)
+        if left_out is None or left_out > ALIKE_SIDES:
+            sigma = np.inf if left_out is None else float(np.hypot(2**0.5 * SIDE_SIGMA, left_out))
+            return Free(ratio=True, slab=slab, ratio_sigma=sigma)
+        # Joints or none, the sides are as good as equal, which ground that is not quite even must not undo.
+        return Free()
     nominal = camera or Camera.from_focal(width, height, float(max(width, height)))
     return Free(
         ratio=slab is None,
@@ -360,13 +367,10 @@ def _freedom(
     )
 
 
-def _ratio_sigma(slab: tuple[float, float] | None) -> float:
-    """Standard deviation of the logarithm of a slab's ratio of sides, as somebody tells it."""
-    if slab is None:
-        return np.inf
+def _left_out(slab: tuple[float, float]) -> float:
+    """Logarithm by which a slab's ratio of sides is less with a usual joint at each than without."""
     short, long = sorted(slab)
-    joints = np.log((long + LEFT_OUT_M) / (short + LEFT_OUT_M) * short / long)
-    return float(np.hypot(2**0.5 * SIDE_SIGMA, joints))
+    return float(np.log(long / short * (short + LEFT_OUT_M) / (long + LEFT_OUT_M)))
 
 
 def _check_arguments(

@@ -318,6 +318,14 @@ def test_a_slab_of_another_shape_is_named_and_the_pose_follows_the_joints(side: 
     assert found.camera.consistent is consistent
 
 
+def test_equal_sides_are_equal_with_their_joints_and_without():
+    photo = drawn("checker")
+    found = autoreg.align(photo.pixels, photo.camera, slab=(0.399, 0.399))
+    a, b = spacing_of(found)
+    assert a == pytest.approx(b)
+    assert not found.warnings
+
+
 def test_a_slab_that_was_told_exactly_is_taken_at_its_word():
     found = aligned("stack")
     a, b = spacing_of(found)
