@@ -194,8 +194,10 @@ def upright_by(sight: Sight, camera: Camera | None) -> int | None:
     for quarters in (1, 2, 3):
         turned = see(np.ascontiguousarray(np.rot90(small.astype(np.uint8), -quarters)))
         own = None if camera is None else camera.scaled(width, height).turned(quarters)
-        free, hypotheses = _hypotheses(turned.segments, turned.size, own)
-        found = _at_a_glance(turned.looks, turned.segments, hypotheses, free)
+        # What is plain to see by a known camera, the coarser segments tell.
+        segments = turned.segments if own is None else turned.detection.coarse
+        free, hypotheses = _hypotheses(segments, turned.size, own)
+        found = _at_a_glance(turned.looks, segments, hypotheses, free)
         if found is not None and found.plain:
             return quarters
     return None

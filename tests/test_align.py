@@ -333,11 +333,10 @@ def test_a_slab_that_was_told_exactly_is_taken_at_its_word():
     assert not found.warnings
 
 
-@pytest.mark.parametrize("quarters", [1, 2])
-def test_a_photo_that_does_not_stand_upright_is_refused_with_the_turn_that_it_needs(quarters: int):
+def test_a_photo_that_does_not_stand_upright_is_refused_with_the_turn_that_it_needs():
     photo = drawn("stack")
-    turned = np.ascontiguousarray(np.rot90(photo.pixels, -quarters))
+    turned = np.ascontiguousarray(np.rot90(photo.pixels, -1))
     with pytest.raises(Refusal) as refused:
-        autoreg.align(turned, photo.camera.turned(quarters), slab=(0.6, 0.4))
+        autoreg.align(turned, photo.camera.turned(1), slab=(0.6, 0.4))
     assert refused.value.code == "not_ground"
-    assert refused.value.measured == 90 * (4 - quarters)
+    assert refused.value.measured == 270
