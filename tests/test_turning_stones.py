@@ -115,16 +115,21 @@ def test_what_turns_around_straight_slabs_is_something_else(fit: Fit):
     assert _turned(both, fit, inner) is None
 
 
-def scattered(fit: Fit, degrees: tuple[float, float]) -> tuple[Segments, Float[np.ndarray, "4 2"]]:
-    """Sides of stones whose directions scatter by so much, along X and along Y, wherever they lie."""
-    straight_ones, field = sides_turned(fit, ALONG_X, 0.0)
-    ground = on_ground(straight_ones.ends_px, fit.camera, fit.cam_from_ground)
+def about_their_middles(fit: Fit, segments: Segments, turn: Float[np.ndarray, " n"]) -> Segments:
+    """Segments that are turned on the ground by so many radians each."""
+    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
     middle = ground.mean(1, keepdims=True)
-    turn = np.random.default_rng(5).normal(0.0, np.radians(np.repeat(degrees, COUNT * COUNT)))
     c, s = np.cos(turn), np.sin(turn)
     R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], 1)
     ends = middle + np.einsum("nij,nkj->nki", R, ground - middle)
-    return replace(straight_ones, ends_px=project_ground(fit.camera, fit.cam_from_ground, ends)), field
+    return replace(segments, ends_px=project_ground(fit.camera, fit.cam_from_ground, ends))
+
+
+def scattered(fit: Fit, degrees: tuple[float, float]) -> tuple[Segments, Float[np.ndarray, "4 2"]]:
+    """Sides of stones whose directions scatter by so much, along X and along Y, wherever they lie."""
+    straight_ones, field = sides_turned(fit, ALONG_X, 0.0)
+    turn = np.random.default_rng(5).normal(0.0, np.radians(np.repeat(degrees, COUNT * COUNT)))
+    return about_their_middles(fit, straight_ones, turn), field
 
 
 @pytest.mark.parametrize(
@@ -149,13 +154,7 @@ def test_stones_that_point_anywhere_are_none_of_a_lattice(
 def test_a_lattice_does_not_lie_across_its_stones(fit: Fit, degrees: tuple[float, float], refused: bool):
     # As that of a pinwheel of large and small squares does; a wrong camera turns the families apart.
     segments, field = scattered(fit, (0.2, 0.2))
-    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
-    middle = ground.mean(1, keepdims=True)
-    turn = np.radians(np.repeat(degrees, COUNT * COUNT))
-    c, s = np.cos(turn), np.sin(turn)
-    R = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], 1)
-    ends = middle + np.einsum("nij,nkj->nki", R, ground - middle)
-    across = replace(segments, ends_px=project_ground(fit.camera, fit.cam_from_ground, ends))
+    across = about_their_middles(fit, segments, np.radians(np.repeat(degrees, COUNT * COUNT)))
     refusal = _turned(across, fit, field)
     assert (refusal is not None) == refused
     if refusal is not None:

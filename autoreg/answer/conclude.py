@@ -19,6 +19,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.stations import joints_of
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.paving.presence import Presence
+from autoreg.solve.freedom import log_stretch
 from autoreg.spread import spread_about
 
 # Stations that are off by less than this many standard deviations carried the fit.
@@ -309,7 +310,7 @@ def unlike_slab(fit: Fit, slab: tuple[float, float], ratio_sigma: float, scale: 
     short, long = sorted(slab)
     ratio = max(a, b) / min(a, b)
     sure = max(OTHER_RATIO, OTHER_RATIO_SIGMAS * ratio_sigma)
-    if abs(np.log(ratio * short / long)) < sure:
+    if abs(log_stretch(a, b, slab)) < sure:
         return None
     # (long + joint) / (short + joint) is the joints' ratio; no joint is wider than it looks.
     joint = (long - ratio * short) / max(ratio - 1.0, 1e-9)

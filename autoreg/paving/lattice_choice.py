@@ -18,6 +18,7 @@ from autoreg.paving.bond import FALSE_ALARM_NATS, customary_shift
 from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern, best_pattern, broken, outstanding, skipping, true_sides
 from autoreg.paving.presence import GROUND_COST, Presence, looked_at_closer, presence_of
+from autoreg.solve.freedom import log_stretch
 
 # What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
 TESTED_NATS = 2 * float(np.log(7000)) + float(np.log(24))
@@ -155,8 +156,7 @@ def has_ratio(grid: Grid, slab: tuple[float, float]) -> bool:
     """Whether a lattice's sides may be in the ratio of a slab's, in either order."""
     if grid.spacing_x is None:
         return True
-    seen = np.log(max(grid.spacing_x, grid.spacing_y) / min(grid.spacing_x, grid.spacing_y))
-    return bool(abs(seen - np.log(max(slab) / min(slab))) < RATIO_TOLERANCE)
+    return abs(log_stretch(grid.spacing_x, grid.spacing_y, slab)) < RATIO_TOLERANCE
 
 
 def settle_bond(
