@@ -88,6 +88,18 @@ def symmetric_poses(pose: Rigid, grid: Grid) -> list[Rigid]:
     return poses
 
 
+def nearest_pose(found: Rigid, photo: SyntheticPhoto) -> Rigid:
+    """The true pose in the frame nearest to a found one, of those in which the lattice looks alike."""
+    grid, poses = true_grid(photo), list[Rigid]()
+    a, b = grid.spacing_x or grid.spacing_y, grid.spacing_y
+    for pose in symmetric_poses(photo.cam_from_ground, grid):
+        away = pose.R.T @ (found.t - pose.t)
+        row = np.round(away[1] / b)
+        column = np.round(away[0] / a - row * grid.shift) + row * grid.shift
+        poses.append(Rigid(pose.R, pose.t + pose.R @ np.array([column * a, row * b, 0.0])))
+    return min(poses, key=lambda pose: angle_between_rotations(found.R, pose.R))
+
+
 def misses(found: Rigid, spacing: tuple[float, float], photo: SyntheticPhoto) -> tuple[float, float]:
     """Angle in degrees to the nearest equivalent of the true frame, and RMS pixels of the crossings.
 

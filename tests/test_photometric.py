@@ -197,6 +197,23 @@ def test_slopes_are_finite_differences(scene: SyntheticScene) -> None:
         assert np.linalg.norm(by_looks[k] - numeric) < 0.02 * np.linalg.norm(numeric)
 
 
+def test_the_slope_by_the_shift_of_a_bond_is_a_finite_difference() -> None:
+    pixels, shape = pixels_of(BOND, clean(BOND)), shape_of(BOND)
+    tones = np.random.default_rng(0).uniform(60, 200, (pixels.blocks, TONES)).ravel()
+    # Pixels know where their joints lie: those along Y in the row that they see, others beyond their line.
+    row = np.floor(View.of(pixels.rays, shape.pose).ground[1] / shape.grid.spacing_y)
+    row = np.where(np.arange(len(pixels)) < sum(pixels.counts[:2]), pixels.line, row)
+
+    def drawn(more: float) -> np.ndarray:
+        column, before = pixels.column + more * row, pixels.before + more * (pixels.line - 1)
+        images = images_of(replace(pixels, column=column, before=before), shape)
+        return np.concatenate([(image.share * tones[image.pixels.tone]).sum(0) for image in images])
+
+    slope = np.concatenate([image.by_shift(tones[image.pixels.tone]) for image in images_of(pixels, shape)])
+    numeric = (drawn(1e-6) - drawn(-1e-6)) / 2e-6
+    assert np.linalg.norm(slope - numeric) < 0.01 * np.linalg.norm(numeric)
+
+
 def taken(pixels: JointPixels) -> Step:
     step = stepped(pixels, first_state(pixels, shape_of(PLAIN), fitted(PLAIN, 1)))
     assert step is not None

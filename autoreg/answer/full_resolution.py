@@ -28,7 +28,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.fitting.lit_walls import beside_lit_walls
 from autoreg.fitting.one_edge import one_edge, with_both_edges
 from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
-from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
+from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight
 from autoreg.paving.corrections import with_measured_shift
 from autoreg.paving.inner_joints import inner_share
@@ -181,18 +181,18 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     height, width = picture.shape
     field = paving.presence.field
 
-    def measured(grid: Grid, near: Fit) -> Fit:
+    def measured(near: Fit) -> Fit:
         # Where one family shows no joints of its own, they may have been too thin at detection scale.
         looks = replace(near.strip, polarity_known=near.strip.polarity.count(0) != 1)
         fit = refine_until_still(
-            picture, near.camera.scaled(width, height), near.cam_from_ground, grid,
+            picture, near.camera.scaled(width, height), near.cam_from_ground, near.grid,
             free=free, search=NARROW, reach=REACH, strip=looks, field=field,
         )  # fmt: skip
         if fit is None:
             raise no_lattice(paving, None)
         return fit
 
-    fit = measured(coarse.grid, coarse)
+    fit = measured(coarse)
     if fit.missed > MOST_MISSED:
         # Small slabs are few at detection scale, and their fit does not reach far.
         grown = refine(
@@ -200,7 +200,7 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
             free=free, search=WIDE_SEARCH, reaches=FROM_THE_FEET,
             strip=replace(coarse.strip, polarity_known=True), field=field,
         )  # fmt: skip
-        again = None if grown is None else measured(grown.grid, grown)
+        again = None if grown is None else measured(grown)
         fit = again if again is not None and again.missed < fit.missed else fit
     fit = with_both_edges(picture, fit, reach=REACH, field=field)
     halved = one_edged(max(one_edge(fit)))
@@ -210,7 +210,7 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
         shifted = with_measured_shift(fit)
         if shifted is None:
             break
-        fit = measured(shifted.grid, fit)
+        fit = measured(shifted)
     return fit
 
 

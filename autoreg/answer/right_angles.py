@@ -26,7 +26,7 @@ from autoreg.ground.points import on_ground, project_ground
 from autoreg.rows.cross_joints import FEWEST_JOINTS, OffSquare, off_angle, off_square
 from autoreg.segments import Segments
 from autoreg.slabs.slab_model import Scatter, estimate_motion
-from autoreg.slabs.uncertainty import Settled, moved_fit, on_camera_side
+from autoreg.slabs.uncertainty import Settled, on_camera_side
 from autoreg.solve import joint_data as terms
 from autoreg.solve.freedom import Free, moved_camera, moved_pose
 from autoreg.solve.solver import CAUCHY_SIGMAS, Prior
@@ -127,12 +127,12 @@ def square_up(
         change = float(step.parameters[terms.FOCAL])
         answer = float(np.log(fit.camera.fx)) + change
         if abs(answer - before) < STILL * sigma:
-            moved = moved_fit(fit, step.parameters)
+            moved = fit.moved(step.parameters)
             covariance = on_camera_side(step.covariance, moved.cam_from_ground)
             return Squared(Settled(moved, covariance, step.scatter), sigma, step.crossing)
         cut = min(1.0, MOST_STEP / max(abs(change), MOST_STEP))
         before = answer if cut == 1.0 else np.inf
-        moved = moved_fit(fit, cut * step.parameters)
+        moved = fit.moved(cut * step.parameters)
         again = refine_until_still(
             picture, moved.camera, moved.cam_from_ground, fit.grid,
             free=fit.free, search=SEARCH, reach=reach, strip=replace(fit.strip, polarity_known=True),
@@ -170,7 +170,7 @@ def _step(fit: Fit, segments: Segments, field: Float[np.ndarray, "k 2"], known: 
         squares = left**2 / angles.variance
         size = max(float(np.median(squares)) / MEDIAN_SQUARE, LEAST_SCATTER)
         weight = 1.0 / (1.0 + squares / (CAUCHY_SIGMAS**2 * size))
-    parameters, whole = np.zeros(terms.PARAMETERS), np.zeros((terms.PARAMETERS, terms.PARAMETERS))
+    parameters, whole = np.zeros(terms.SHIFT + 1), np.zeros((terms.SHIFT + 1, terms.SHIFT + 1))
     parameters[list(_ALL)] = x
     whole[np.ix_(_ALL, _ALL)] = covariance
     return _Step(parameters, whole, scatter, angles.crossing)

@@ -11,12 +11,13 @@ from jaxtyping import Bool, Float, Int
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.ground.sides import Grid
-from autoreg.ground.stations import Stations
+from autoreg.ground.stations import Stations, moved_by_shift
 from autoreg.joints.edges import Offsets
 from autoreg.joints.joint_looks import Strip, width_px_of
 from autoreg.joints.profiles import Profiles
 from autoreg.joints.widths import APART_BLURS, Widths, fit_widths
-from autoreg.solve.freedom import Free
+from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
+from autoreg.solve.joint_data import SHIFT
 from autoreg.solve.solver import CAUCHY_SIGMAS, Solution
 
 # Stations that keep less of their weight do not lie on their joint.
@@ -69,6 +70,30 @@ class Fit:
         """Median distance of the stations from their lines, in the family with the greater one."""
         used = [self.usable & (self.stations.family == k) for k in np.unique(self.stations.family)]
         return max(float(np.median(np.abs(self.distances_px[rows]))) for rows in used if rows.any())
+
+    def moves_px(self, motion: Float[np.ndarray, " s"]) -> Float[np.ndarray, " n"]:
+        """How far a small motion moves the projected joints, across them.
+
+        The motion is of the solver's parameters, and of the bond's shift behind them.
+        """
+        by_shift = moved_by_shift(self.stations, self.grid) * self.profiles.px_per_unit
+        return self.solution.jacobian @ motion[:SHIFT] + by_shift * motion[SHIFT]
+
+    def moved(self, motion: Float[np.ndarray, " s"]) -> Fit:
+        """The fit after a small motion of pose, camera and lattice; its joints are not measured anew."""
+        step, shift = replace(self.solution, parameters=motion[:SHIFT]), float(motion[SHIFT])
+        grid, stations = stretched(self.grid, step), self.stations
+        if shift:
+            ground = stations.ground + np.outer(shift * moved_by_shift(stations, self.grid), [1.0, 0.0])
+            grid, stations = replace(grid, shift=grid.shift + shift), replace(stations, ground=ground)
+        return replace(
+            self,
+            camera=moved_camera(self.camera, step),
+            cam_from_ground=moved_pose(self.cam_from_ground, step),
+            grid=grid,
+            stations=stations,
+            distances_px=self.distances_px + self.moves_px(motion),
+        )
 
     def motion_along(self, columns: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
         """The motion by some columns, of which each is a station's change, that lays the joints best.

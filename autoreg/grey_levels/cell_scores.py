@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from autoreg.grey_levels.photometric_step import Part, Step, imitated, tones_of
+from autoreg.grey_levels.photometric_step import Part, State, Step, imitated, tones_of
 from autoreg.grey_levels.tones import over_parts
 
 # Where tiles meet without a joint that shows, there may be a hairline as wide as what is taken for none. Its
@@ -23,7 +23,7 @@ def with_doubts(last: Step, together: float) -> Step:
     """
     widths = zip(last.state.shape.width, last.state.fit.strip.polarity, strict=True)
     x, y = (together * width if polarity else HAIRLINE * width for width, polarity in widths)
-    parts, sums = zip(*(_doubted(part, (x, y)) for part in last.parts), strict=True)
+    parts, sums = zip(*(_doubted(part, (x, y), last.state) for part in last.parts), strict=True)
     total = over_parts(last.pixels.blocks, [part.shares for part in parts], sums)
     normal = last.normal
     solved = np.concatenate([normal.solved, normal.blocks.solve(total, normal.ridge)], 2)
@@ -31,13 +31,15 @@ def with_doubts(last: Step, together: float) -> Step:
     return replace(last, parts=list(parts), normal=normal)
 
 
-def _doubted(part: Part, off: tuple[float, float]) -> tuple[Part, Float[np.ndarray, "b t d"]]:
+def _doubted(part: Part, off: tuple[float, float], state: State) -> tuple[Part, Float[np.ndarray, "b t d"]]:
     """A part with columns of what its grey levels change by where they are doubted, and the tones' products.
 
     Joints are `off` by so much together.
     """
     image, slopes = part.image, part.slopes
     more = np.concatenate([image.lopsided(), image.by_lens(slopes), image.together(slopes, off)])
+    if state.shape.grid.odd_bond:
+        more = np.concatenate([more, image.by_shift(state.tones.ravel()[image.pixels.tone])[None]])
     columns = np.concatenate([part.columns[:-1], more])
     return replace(part, columns=columns), part.shares.sums(np.ascontiguousarray(more.T))
 

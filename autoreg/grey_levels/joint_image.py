@@ -173,6 +173,21 @@ class JointImage:
         along_x, along_y = (slopes.by_ground[axis] * length for axis, length in zip((1, 0), by, strict=True))
         return np.stack([along_x, along_x * aslant[1], along_y, along_y * aslant[0]])
 
+    def by_shift(self, tones: Float[np.ndarray, "s n"]) -> Float[np.ndarray, " n"]:
+        """Pixels' change where the bond's shift grows by one, for the tones that they have a share in."""
+        column, a = np.zeros(len(self.pixels)), self.shape.grid.spacing_x or 0.0
+        against = tones[:-1] - tones[-1]
+        if self.pixels.kind == CROSSING:
+            for quadrant, (_, by_x, _) in enumerate(self.corners):
+                p, r = quadrant % 2, quadrant // 2
+                row = self.pixels.line - r
+                column -= a * row * against[quadrant] * by_x * self.across[r][p].by_place
+        elif self.pixels.kind == ON_Y:
+            row = np.floor(self.view.ground[1] / self.shape.grid.spacing_y)
+            for step, edge in zip(against, self.joints[ALONG_Y], strict=True):
+                column -= a * row * step * edge.by_place
+        return column
+
     def _by_plane(self, slopes: Slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivatives by a shift of the ground on the camera's side, each pixel's own."""
         R, rows, (g, h) = self.shape.pose.R, self.view.rows, slopes.by_ground

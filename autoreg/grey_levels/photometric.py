@@ -33,7 +33,6 @@ from autoreg.grey_levels.joint_image import Shape
 from autoreg.grey_levels.joint_pixels import JOINT
 from autoreg.grey_levels.near_joints import CLEAR_BLURS, joint_pixels
 from autoreg.grey_levels.photometric_step import (
-    DOUBTED,
     UNKNOWNS,
     Step,
     first_state,
@@ -44,8 +43,6 @@ from autoreg.grey_levels.photometric_step import (
 from autoreg.ground.sides import Sides, visible_sides
 from autoreg.numbering import numbered
 from autoreg.solve import joint_data as terms
-from autoreg.solve.freedom import stretched
-from autoreg.solve.joint_data import PARAMETERS
 
 # Pixels that are looked at: more tell little more, and cost time. Of joints that are blurred by more than so
 # many pixels each tells less, and as many more are looked at.
@@ -85,6 +82,8 @@ DOUBTS = (
     Doubt((5, 6), (0.003,), 0.0, 0.0, 0.0),
     Doubt((7, 8, 9, 10), (1.0,), 0.0, 0.0, 0.0),
 )
+# The shift of an odd bond besides: the measured joints have told it to some ten-thousandths of a slab.
+ODD_SHIFT = Doubt((11,), (3e-5, 1e-4, 3e-4, 1e-3), 1e-6, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -203,13 +202,14 @@ def _judged(
     step = np.zeros(UNKNOWNS)
     step[last.normal.free] = answer.step[: len(last.normal.free)]
     shape = moved_shape(state.shape, step)
-    parameters = _parameters(fit, shape)
+    if fit.grid.odd_bond:
+        shape = replace(shape, grid=replace(shape.grid, shift=shape.grid.shift + float(answer.step[-1])))
     moved = replace(
         fit,
         cam_from_ground=shape.pose,
-        grid=stretched(fit.grid, replace(fit.solution, parameters=parameters)),
+        grid=shape.grid,
         strip=replace(fit.strip, width=shape.width),
-        distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
+        distances_px=fit.distances_px + fit.moves_px(_parameters(fit, shape)),
     )
     return Photometric(moved, plain, doubted, _lopsided(last, answer), state.noise, effect, len(pixels))
 
@@ -225,7 +225,9 @@ def _lopsided(last: Step, answer: Averaged) -> float:
 def _averaged(last: Step, together: float) -> tuple[Averaged, float]:
     """A last step of all unknowns, averaged over what is doubted, and the design effect of the pose."""
     known, noise = len(last.normal.free), last.state.noise
-    unknowns, last = np.r_[last.normal.free, UNKNOWNS + np.arange(DOUBTED)], with_doubts(last, together)
+    doubts = (*DOUBTS, ODD_SHIFT) if last.state.shape.grid.odd_bond else DOUBTS
+    doubted = sum(len(doubt.columns) for doubt in doubts)
+    unknowns, last = np.r_[last.normal.free, UNKNOWNS + np.arange(doubted)], with_doubts(last, together)
     information, score = told(last, unknowns)
     ridge = np.diag(np.r_[np.zeros(known), 1e-12 + 1e-9 * np.diag(information)[known:]])
     asked = Asked.of(information + ridge, slice(0, 6))
@@ -235,12 +237,12 @@ def _averaged(last: Step, together: float) -> tuple[Averaged, float]:
     )
     effect = max(*design_effects(scores, of_cells, asked, last.pixels.places, noise), 1.0)
     variance = noise**2 * effect
-    return averaged_over(DOUBTS, information / variance, score / variance, known), effect
+    return averaged_over(doubts, information / variance, score / variance, known), effect
 
 
-def _parameters(fit: Fit, shape: Shape) -> Float[np.ndarray, " p"]:
+def _parameters(fit: Fit, shape: Shape) -> Float[np.ndarray, " s"]:
     """The motion from a fit in the solver's parameters, where the turn swings the translation along."""
-    parameters = np.zeros(PARAMETERS)
+    parameters = np.zeros(terms.SHIFT + 1)
     turn = shape.pose.R @ fit.cam_from_ground.R.T
     skew = 0.5 * (turn - turn.T)
     parameters[terms.ROTATION] = skew[2, 1], skew[0, 2], skew[1, 0]
@@ -248,4 +250,5 @@ def _parameters(fit: Fit, shape: Shape) -> Float[np.ndarray, " p"]:
     parameters[terms.RATIO] = np.log((shape.grid.spacing_x or 1.0) / shape.grid.spacing_y) - np.log(
         (fit.grid.spacing_x or 1.0) / fit.grid.spacing_y
     )
+    parameters[terms.SHIFT] = shape.grid.shift - fit.grid.shift
     return parameters

@@ -27,7 +27,7 @@ FIRST_RIDGE = 0.02
 LEAST_NOISE = 0.05
 # Unknowns besides the tones of blocks: seven of the pose, three looks, the mean tones of slabs and of joints;
 # behind them stand the columns of what the drawing leaves out, which no step solves for.
-LOOKS, MEANS, UNKNOWNS, DOUBTED = slice(7, 10), slice(10, 12), 12, 11
+LOOKS, MEANS, UNKNOWNS = slice(7, 10), slice(10, 12), 12
 # Columns of a pixel in a step: the derivatives, and its grey level.
 COLUMNS = UNKNOWNS + 1
 

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
+from autoreg.ground.bond_shift import is_customary
 from autoreg.ground.points import inside_convex, lengths, project_ground, visible_ground
 
 ALONG_X, ALONG_Y = 0, 1
@@ -29,6 +30,11 @@ class Grid:
     def slab_side(self) -> float:
         """Geometric mean of a slab's sides; those of rows are taken for squares."""
         return float(np.sqrt((self.spacing_x or self.spacing_y) * self.spacing_y))
+
+    @property
+    def odd_bond(self) -> bool:
+        """Whether it is a running bond whose shift no paver would choose: only the joints tell it."""
+        return self.spacing_x is not None and not is_customary(self.shift)
 
     def stretch_from(self, other: Grid) -> Float[np.ndarray, "2"]:
         """Factors by which this lattice's spacings exceed another's; one where a spacing is not known."""

@@ -39,6 +39,11 @@ class Stations:
         return np.where(self.family[:, None] == ALONG_X, [[1.0, 0.0]], [[0.0, 1.0]])
 
 
+def moved_by_shift(stations: Stations, grid: Grid) -> Float[np.ndarray, " n"]:
+    """How far a unit of the bond's shift moves stations along X: cross joints, course by course."""
+    return np.where(stations.family == ALONG_Y, stations.cell * (grid.spacing_x or 0.0), 0.0)
+
+
 def joints_of(stations: Stations, grid: Grid) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]:
     """Numbers of the joints that stations lie on, and where one station of each is.
 

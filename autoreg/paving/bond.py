@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from autoreg.ground.bond_shift import nearest_customary
 from autoreg.ground.rectify import Family, Rectified, line_support
 from autoreg.ground.sides import Grid
 from autoreg.paving.periods import PHASES, Comb, best_combs, blurred, local_z, log_likelihood_ratio
@@ -29,8 +30,6 @@ FINELY = 8
 FALSE_ALARM_NATS = float(np.log(1000.0))
 # A coarser spacing is preferred to parts of it that suit the places so much better at the most.
 AS_GOOD = 0.8
-# Shifts in use by pavers, as shares of a slab's length.
-CUSTOMARY = np.array([0.0, 1 / 5, 1 / 4, 1 / 3, 2 / 5, 1 / 2, 3 / 5, 2 / 3, 3 / 4, 4 / 5, 1.0])
 
 
 @dataclass(frozen=True)
@@ -204,17 +203,8 @@ def bond_of_places(
 
 def customary_shift(shift: float) -> float:
     """The shift in use by pavers next to a measured one, if there is one within the phases' resolution."""
-    nearest = _nearest_custom(shift)
+    nearest = nearest_customary(shift)
     return nearest % 1.0 if abs(nearest - shift) < 1.2 / PHASES else shift
-
-
-def is_customary(shift: float) -> bool:
-    """Whether a shift is exactly one that is in use by pavers."""
-    return abs(_nearest_custom(shift) - shift) < 1e-9
-
-
-def _nearest_custom(shift: float) -> float:
-    return float(CUSTOMARY[np.abs(CUSTOMARY - shift).argmin()])
 
 
 def _cross_spacings(courses: Courses, cross: Family, comb: Comb, combs: tuple[Comb, ...]) -> np.ndarray:

@@ -9,8 +9,9 @@ import numpy as np
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.sides import ALONG_Y
-from autoreg.paving.bond import is_customary
+from autoreg.ground.stations import moved_by_shift
 from autoreg.solve import joint_data as terms
+from autoreg.solve.joint_data import SHIFT
 
 # Changes of the bond's shift below this share of a slab are left alone, and those of a customary one below
 # the second. Pavers keep to it better than relief and slabs that are turned let the cross joints tell: those
@@ -19,7 +20,7 @@ SHIFT_STEP, CUSTOMARY_STEP = 0.0003, 0.002
 
 
 def with_measured_shift(fit: Fit) -> Fit | None:
-    """The fit with the bond's shift as the cross joints show it; None if it is the one it has.
+    """The fit moved to the bond's shift that the cross joints show; None if it is the one it has.
 
     A wrong shift shears the cross joints, which the pose partly hides by a turn; a linear step of the pose
     and the shift together tells them apart. The customary shifts are kept unless the joints contradict them.
@@ -32,8 +33,9 @@ def with_measured_shift(fit: Fit) -> Fit | None:
     crossing = stations.family == ALONG_Y
     if len(np.unique(stations.cell[crossing])) < 3:
         return None
-    by_shift = np.where(crossing, stations.cell * grid.spacing_x * fit.profiles.px_per_unit[rows], 0.0)
-    J = np.column_stack([fit.solution.jacobian[rows][:, fit.free.mask > 0], by_shift])
+    by_shift = moved_by_shift(stations, grid) * fit.profiles.px_per_unit[rows]
+    free = np.flatnonzero(fit.free.mask)
+    J = np.column_stack([fit.solution.jacobian[np.ix_(rows, free)], by_shift])
     weight = np.sqrt(fit.weight[rows]) / fit.sigma_px[rows]
     A, b = J * weight[:, None], -fit.distances_px[rows] * weight
     unit = np.linalg.norm(A, axis=0)
@@ -41,10 +43,13 @@ def with_measured_shift(fit: Fit) -> Fit | None:
     scatter = float(np.mean((A @ step - b) ** 2)) * len(rows) / len(np.unique(stations.side))
     sigma = float(np.sqrt(scatter * np.linalg.pinv((A / unit).T @ (A / unit))[-1, -1]) / unit[-1])
     change = float(step[-1])
-    least = CUSTOMARY_STEP if is_customary(grid.shift) else SHIFT_STEP
+    least = SHIFT_STEP if grid.odd_bond else CUSTOMARY_STEP
     if abs(change) < max(5.0 * sigma, least):
         return None
-    return replace(fit, grid=replace(grid, shift=(grid.shift + change) % 1.0))
+    motion = np.zeros(SHIFT + 1)
+    motion[np.r_[free, SHIFT]] = step
+    moved = fit.moved(motion)
+    return replace(moved, grid=replace(moved.grid, shift=moved.grid.shift % 1.0))
 
 
 def recentred(fit: Fit) -> Fit:

@@ -21,6 +21,7 @@ from autoreg.ground.rectify import near_reach, rectify
 from autoreg.ground.sides import Grid, visible_sides
 from autoreg.ground.sight import Look, Looks
 from autoreg.paving.bond import BondHypothesis, bond_hypotheses
+from autoreg.paving.corrections import with_measured_shift
 from autoreg.paving.lattice_choice import Paving, hopeful, presented, settle_bond
 from autoreg.paving.multiples import divided, slabs_in_one, too_long
 from autoreg.paving.periods import Comb, best_combs
@@ -34,6 +35,9 @@ MOST_STARTS = 6
 STATIONS = 700
 # How far a fit looks in its rounds, in camera heights, as it grows from the feet, and in a known field.
 OUTWARDS, FIELD_REACH, IN_FIELD_ROUNDS = (2.5, 4.0, 7.0), 9.0, 3
+# Courses that are thought to move on by a usual part of a slab, and do by another, are lost some rows on. How
+# often a fit is repeated by the shift that the joints tell.
+MOST_SHIFTS = 3
 # Where a round of a fit that looks farther moves its joints by less than this, farther ones are as expected.
 STEADY_PX = 0.1
 # Sides that tell whether a start is worth following.
@@ -142,7 +146,7 @@ def _bond_start(R: np.ndarray, bond: BondHypothesis) -> _Start:
 
 def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: bool = False) -> Paving | None:
     """The lattice that a start leads to, if any; only if the joints of `both` families may be there."""
-    fit = fit_outwards(looks.picture, plane.camera, start.pose, start.grid, free, start.field)
+    fit = _fitted(looks.picture, plane.camera, start.pose, start.grid, free, start.field)
     if fit is None:
         return None
     presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES)
@@ -163,10 +167,28 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: b
     return None if laid is None else of_single_slabs(looks.picture, laid)
 
 
+def _fitted(
+    picture: Float[np.ndarray, "h w"],
+    camera: Camera,
+    cam_from_ground: Rigid,
+    grid: Grid,
+    free: Free,
+    field: Float[np.ndarray, "k 2"] | None = None,
+) -> Fit | None:
+    """The fit that a start grows to, with the shift from course to course that its own joints tell."""
+    fit = fit_outwards(picture, camera, cam_from_ground, grid, free, field)
+    for _ in range(MOST_SHIFTS):
+        shifted = fit and with_measured_shift(fit)
+        if shifted is None:
+            break
+        fit = fit_outwards(picture, camera, shifted.cam_from_ground, shifted.grid, free, field)
+    return fit
+
+
 def _fitted_anew(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving:
     """A lattice that was told by the fit of another one, by its own joints, if that makes it clearer."""
     told = laid.fit
-    grown = fit_outwards(picture, told.camera, told.cam_from_ground, told.grid, told.free)
+    grown = _fitted(picture, told.camera, told.cam_from_ground, told.grid, told.free)
     again = grown and presented(picture, refine_in_field(picture, grown, laid.presence.field))
     return again if again is not None and again.margin_nats > laid.margin_nats else laid
 

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from autoreg.fitting.design_effect import drawn_design_effect
 from autoreg.fitting.fit import Fit
+from autoreg.ground.stations import moved_by_shift
 from autoreg.slabs.banded import solve_lower_banded
 from autoreg.slabs.measured_joints import measured_joints
 from autoreg.slabs.slab_effects import (
@@ -28,6 +29,7 @@ from autoreg.slabs.slab_effects import (
     slab_effects,
     width_effects,
 )
+from autoreg.solve.joint_data import SHIFT
 from autoreg.solve.solver import CAUCHY_SIGMAS, Prior
 from autoreg.spread import spread_about
 
@@ -66,15 +68,22 @@ class SlabEquations:
         widths: bool,
         sizes: Sizes | None = None,
     ) -> None:
-        """Effects of which the `sizes` that will be asked for have nothing are left out."""
-        self.free = np.flatnonzero(mask)
+        """Effects of which the `sizes` that will be asked for have nothing are left out.
+
+        Behind the motion of the parameters that the `mask` frees stands the shift of an odd bond.
+        """
+        free = np.flatnonzero(mask)
         self.joints = joints = measured_joints(fit, rows, widths=widths)
         # The widths know nothing of the pose, but what makes them differ moves the middles as well.
-        J = joints.middles_only(fit.solution.jacobian[np.ix_(rows, self.free)])
+        moved = fit.solution.jacobian[np.ix_(rows, free)]
+        if fit.grid.odd_bond:
+            by_shift = moved_by_shift(fit.stations.take(rows), fit.grid) * joints.px_per_unit
+            moved, free = np.column_stack([moved, by_shift]), np.r_[free, SHIFT]
+        self.free, J = free, joints.middles_only(moved)
         # Columns of unit length keep the normal equations well scaled.
         self.unit = 1.0 / np.maximum(np.linalg.norm(J, axis=0), 1e-12)
-        self.known = (self.unit / prior.sigma[self.free]) ** 2
-        self.prior_mean = prior.mean[self.free] / self.unit
+        mean, sigma = np.r_[prior.mean, 0.0][free], np.r_[prior.sigma, np.inf][free]
+        self.known, self.prior_mean = (self.unit / sigma) ** 2, mean / self.unit
         a, b = fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y
         effects = slab_effects(joints, a, b, fit.grid.slab_side)
         # Which of the three sizes columns of Z are scaled by.

@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from autoreg.fitting.fit import Fit
 from autoreg.numbering import numbered
 from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
-from autoreg.solve.joint_data import PARAMETERS
+from autoreg.solve.joint_data import SHIFT
 from autoreg.solve.solver import Prior
 from autoreg.spread import spread_about
 
@@ -81,12 +81,13 @@ class Scatter:
 class Estimate:
     """Solution of the mixed model: a small motion from the fit, its covariance, and the scatter.
 
-    `by_relief` is the part of the motion that flat joints would not ask for.
+    The motion is of the solver's parameters, and of an odd bond's shift behind them. `by_relief` is the part
+    of it that flat joints would not ask for.
     """
 
-    parameters: Float[np.ndarray, " p"]
-    by_relief: Float[np.ndarray, " p"]
-    covariance: Float[np.ndarray, "p p"]
+    parameters: Float[np.ndarray, " s"]
+    by_relief: Float[np.ndarray, " s"]
+    covariance: Float[np.ndarray, "s s"]
     scatter: Scatter
 
 
@@ -137,7 +138,7 @@ def estimate_motion(
     sunk = 1.0 - float(weight[flat].sum())
     misfit = _misfit(model, sizes, relief, sunk) if near is None else near.misfit
     spread = np.tensordot(weight, inner, 1) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
-    (parameters, relieved), covariance = np.zeros((2, PARAMETERS)), np.zeros((PARAMETERS, PARAMETERS))
+    (parameters, relieved), covariance = np.zeros((2, SHIFT + 1)), np.zeros((SHIFT + 1, SHIFT + 1))
     parameters[model.free], relieved[model.free] = mean * model.unit, by_relief * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
     place, lift, turn, course = sizes

@@ -11,7 +11,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import joint_data
 from autoreg.geometry import Rigid
 from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
-from autoreg.solve.freedom import log_stretch, moved_camera, moved_pose, stretched
+from autoreg.solve.freedom import log_stretch
 from autoreg.solve.joint_data import PARAMETERS, RATIO
 from autoreg.solve.solver import solve_joints
 
@@ -58,7 +58,7 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
         fit = there
         estimate, moved = _likeliest(fit, widths)
     covariance = on_camera_side(estimate.covariance, moved.cam_from_ground)
-    by_relief = (fit.solution.jacobian @ estimate.by_relief / fit.profiles.px_per_unit)[fit.usable]
+    by_relief = (fit.moves_px(estimate.by_relief) / fit.profiles.px_per_unit)[fit.usable]
     ratio_sigma = float(np.sqrt(estimate.covariance[RATIO, RATIO]))
     return Settled(moved, covariance, estimate.scatter, _rms(by_relief), ratio_sigma=ratio_sigma)
 
@@ -70,7 +70,7 @@ def _likeliest(fit: Fit, widths: bool) -> tuple[Estimate, Fit]:
         fit, fit.free.mask, fit.free.prior(fit.camera, fit.grid), bow=bow, widths=widths
     )
     held = _with_told_ratio(fit, estimate)
-    moved = moved_fit(fit, (held or estimate).parameters)
+    moved = fit.moved((held or estimate).parameters)
     return (estimate, moved) if held is None else (held, replace(moved, free=replace(fit.free, ratio=False)))
 
 
@@ -91,18 +91,6 @@ def _with_told_ratio(fit: Fit, estimate: Estimate) -> Estimate | None:
         parameters=estimate.parameters - off * gain,
         by_relief=estimate.by_relief - estimate.by_relief[RATIO] * gain,
         covariance=estimate.covariance - variance * np.outer(gain, gain),
-    )
-
-
-def moved_fit(fit: Fit, parameters: Float[np.ndarray, " p"]) -> Fit:
-    """The fit after a small motion of pose, camera and lattice; its joints are not measured anew."""
-    step = replace(fit.solution, parameters=parameters)
-    return replace(
-        fit,
-        camera=moved_camera(fit.camera, step),
-        cam_from_ground=moved_pose(fit.cam_from_ground, step),
-        grid=stretched(fit.grid, step),
-        distances_px=fit.distances_px + fit.solution.jacobian @ parameters,
     )
 
 

@@ -13,6 +13,8 @@ from jaxtyping import Float
 PARAMETERS = 15
 ROTATION, TRANSLATION, RATIO = slice(0, 3), slice(3, 6), 6
 FOCAL, CENTRE_X, CENTRE_Y, RADIAL, ASPECT, SECOND_RADIAL, TANGENTIAL_X, TANGENTIAL_Y = range(7, 15)
+# Where a running bond's shift is estimated, which no solve changes, it stands behind them.
+SHIFT = PARAMETERS
 CENTRE, TANGENTIAL = slice(CENTRE_X, CENTRE_Y + 1), slice(TANGENTIAL_X, TANGENTIAL_Y + 1)
 
 
