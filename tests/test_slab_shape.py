@@ -106,13 +106,12 @@ def test_a_slab_tells_a_lens_out_of_the_middle_of_a_photo_taken_almost_squarely(
 
 
 def test_a_wrong_slab_is_refused_where_the_joints_tell_the_focal_length() -> None:
-    for wrong in ((0.6, 0.4), (0.9, 0.3)):
-        with pytest.raises(Refusal, match="--camera") as caught:
-            align(picture(aslant=True), None, slab=wrong)
-        assert caught.value.code == "slab_mismatch"
-        with pytest.raises(Refusal, match="belongs to this photo") as caught:
-            align(picture(aslant=False), CAMERA, slab=wrong)
-        assert caught.value.code == "slab_mismatch"
+    with pytest.raises(Refusal, match="--camera") as caught:
+        align(picture(aslant=True), None, slab=(0.6, 0.4))
+    assert caught.value.code == "slab_mismatch"
+    with pytest.raises(Refusal, match="belongs to this photo") as caught:
+        align(picture(aslant=False), CAMERA, slab=(0.9, 0.3))
+    assert caught.value.code == "slab_mismatch"
 
 
 def test_focal_lengths_are_judged_by_what_is_known_beforehand() -> None:
