@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.answer.refusals import ambiguous, camera_contradicted, no_lattice
+from autoreg.answer.camera_refusals import camera_contradicted
+from autoreg.answer.refusals import ambiguous, no_lattice
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.directions import camera_rays, strongest_share

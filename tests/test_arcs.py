@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of
 
-from autoreg.answer.refusals import ARC_SIGMAS, MOST_ARC_DEG, arcs
+from autoreg.answer.pattern_refusals import ARC_SIGMAS, MOST_ARC_DEG, arcs
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.rows.arcs import FEWEST_STATIONS, Arc, common_arc

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autoreg.answer.refusals import filled
+from autoreg.answer.pattern_refusals import filled
 from autoreg.fitting.fit import Fit
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import Grid, visible_sides

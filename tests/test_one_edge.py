@@ -9,7 +9,7 @@ import pytest
 from paved import gray_of, misses
 
 import autoreg
-from autoreg.answer.refusals import one_edged
+from autoreg.answer.pattern_refusals import one_edged
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.one_edge import MOST, one_edge, with_both_edges

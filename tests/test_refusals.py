@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of, gray_of
 
-from autoreg.answer.refusals import (
-    FEW_SIDES,
-    FRONTAL_DEG,
-    ambiguous,
-    camera_contradicted,
-    focal_untold,
-    leaning,
-    maybe_wall,
-    no_lattice,
-)
+from autoreg.answer.camera_refusals import camera_contradicted, focal_untold, leaning
+from autoreg.answer.refusals import FEW_SIDES, FRONTAL_DEG, ambiguous, maybe_wall, no_lattice
 from autoreg.camera import Camera
 from autoreg.ground.sides import Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from paved import gray_of
 
-from autoreg.align import EXIF_FOCAL_SIGMA, align
+from autoreg.align import align
 from autoreg.answer.full_resolution import MOST_FOCAL_SIGMA
-from autoreg.answer.refusals import MOST_FANNED_DEG, fanned
+from autoreg.answer.pattern_refusals import MOST_FANNED_DEG, fanned
 from autoreg.answer.right_angles import SHARED_RAD, Squared, square_up
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
@@ -26,6 +26,7 @@ from autoreg.rows.rows import STEP_SIGMA
 from autoreg.segments import Segments, detect_segments
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
+from autoreg.task import EXIF_FOCAL_SIGMA
 
 PITCH, HEADING = np.deg2rad([36.0, 40.0])
 

@@ -140,7 +140,6 @@ def test_rows_that_do_no_better_than_chance_by_the_camera_they_lead_to_are_refus
     monkeypatch: pytest.MonkeyPatch,
 ):
     photo = seen_from_the_camera(ashlar(0.3))
-    assert align(photo, CAMERA, camera_height=1.6).lattice.kind == "rows"
     monkeypatch.setattr("autoreg.answer.full_resolution.line_evidence", lambda *_: (16.0, 0.0))
     with pytest.raises(Refusal) as refused:
         align(photo, CAMERA, camera_height=1.6)

@@ -12,7 +12,7 @@ from paved import STACK, fit_of
 
 from autoreg.align import align
 from autoreg.answer.full_resolution import _turned
-from autoreg.answer.refusals import MOST_FANNED_DEG, turning
+from autoreg.answer.pattern_refusals import MOST_FANNED_DEG, turning
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit

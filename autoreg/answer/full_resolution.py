@@ -6,20 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from autoreg.answer.camera_refusals import focal_untold
 from autoreg.answer.last_step import likeliest
-from autoreg.answer.refusals import (
-    ambiguous,
-    arcs,
-    askew,
-    fanned,
-    filled,
-    focal_untold,
-    maybe_wall,
-    no_lattice,
-    off_lattice,
-    one_edged,
-    turning,
-)
+from autoreg.answer.pattern_refusals import arcs, askew, fanned, filled, off_lattice, one_edged, turning
+from autoreg.answer.refusals import ambiguous, maybe_wall, no_lattice
 from autoreg.answer.right_angles import Squared, square_up
 from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal

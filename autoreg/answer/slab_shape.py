@@ -7,7 +7,7 @@ lens. Who knows the slab need not guess.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +20,7 @@ from autoreg.geometry import Rigid, nearest_rotation
 from autoreg.paving.lattice_choice import Paving, has_ratio, presented
 from autoreg.paving.lay import FIELD_REACH, OUTWARDS, STATIONS
 from autoreg.solve import joint_data as terms
-from autoreg.solve.freedom import Free
+from autoreg.solve.freedom import Free, log_stretch
 
 # A focal length is none that is off by more standard deviations of what is known of it beforehand.
 MOST_SIGMAS = 2.5
@@ -29,6 +29,52 @@ MOST_SIGMAS = 2.5
 # which the joints lie so much farther from their lines than by the one that they told themselves: so many
 # times as far, or by so many pixels. By the right slab they lie up to 1.2 times as far.
 MOST_SIGMAS_BY_SLAB, ROUGHER, ROUGHER_PX = 1.7, 1.3, 0.02
+# Logarithm, and standard deviations, by which the joints' own ratio of sides is another one than was told.
+OTHER_RATIO, OTHER_RATIO_SIGMAS = 0.003, 4.0
+# ... and from which on the slab or the camera is wrong, unless the sides leave out joints, which may be wider
+# than they look by this factor. A focal length that is off by 1 % changes the ratio by 0.6 %.
+CONTRADICTING_RATIO, WIDER_THAN_SEEN = 0.01, 1.25
+
+
+@dataclass(frozen=True)
+class UnlikeSlab:
+    """Joints whose sides are in another ratio than those of a slab as it was told.
+
+    Longer side over shorter; `sigma` is the standard deviation of the logarithm of the joints' `ratio`, and
+    `joint_m` the width of a joint that the told sides leave out, if that explains it.
+    """
+
+    ratio: float
+    told: float
+    sigma: float
+    sides_m: tuple[float, float]
+    joint_m: float | None
+
+    @property
+    def off(self) -> float:
+        """Logarithm of the joints' ratio over the told one."""
+        return float(np.log(self.ratio / self.told))
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the slab or the camera is wrong: no joint that sides may leave out explains so much."""
+        return self.joint_m is None and abs(self.off) > CONTRADICTING_RATIO
+
+    @property
+    def warning(self) -> str:
+        """What to tell of it."""
+        advice = "measure a slab from the middle of one joint to that of the next, and check the camera"
+        if self.joint_m is not None:
+            long, short = (side + self.joint_m for side in self.sides_m)
+            advice = (
+                f"with joints {1e3 * self.joint_m:.1f} mm wide the slabs would have it: "
+                f"give {long:.3f}x{short:.3f}"
+            )
+        return (
+            f"the joints lie in the ratio {self.ratio:.4f} (± {self.sigma * self.ratio:.4f}), the sides "
+            f"given with --slab in {self.told:.4f}: the pose follows the joints, and its scale may be off by "
+            f"{100 * abs(self.off):.1f} %; {advice}"
+        )
 
 
 def of_slab_shape(
@@ -69,6 +115,30 @@ def slab_mismatch(fit: Fit, slab: tuple[float, float], *, camera_told: bool) -> 
         measured=round(float(seen), 4),
         limit=round(float(told), 4),
     )
+
+
+def unlike_slab(fit: Fit, slab: tuple[float, float], ratio_sigma: float, scale: float) -> UnlikeSlab | None:
+    """What the joints say against a slab's ratio of sides as it was told; None if they suit it, and of rows.
+
+    Args:
+        fit: the last one.
+        slab: sides as they were told, in metres.
+        ratio_sigma: standard deviation of the logarithm of the fit's ratio.
+        scale: metres per unit of the fit.
+    """
+    a, b = fit.grid.spacing_x, fit.grid.spacing_y
+    if a is None:
+        return None
+    short, long = sorted(slab)
+    ratio = max(a, b) / min(a, b)
+    sure = max(OTHER_RATIO, OTHER_RATIO_SIGMAS * ratio_sigma)
+    if abs(log_stretch(a, b, slab)) < sure:
+        return None
+    # (long + joint) / (short + joint) is the joints' ratio; no joint is wider than it looks.
+    joint = (long - ratio * short) / max(ratio - 1.0, 1e-9)
+    widest = WIDER_THAN_SEEN * scale * max(fit.strip.width)
+    told = joint if 0.0 < joint < widest else None
+    return UnlikeSlab(ratio, long / short, ratio_sigma, (long, short), told)
 
 
 def with_slab_ratio(fit: Fit, slab: tuple[float, float]) -> Fit:

@@ -80,6 +80,11 @@ class Lean:
     angle: float
     sigma: float
 
+    def clear_deg(self, most_deg: float, sure_sigmas: float) -> float | None:
+        """Its size in degrees where it is at least so large, and surely more than none; else None."""
+        degrees = float(np.degrees(abs(self.angle)))
+        return None if degrees < most_deg or abs(self.angle) < sure_sigmas * self.sigma else degrees
+
 
 def find_cross_joints(
     segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]

@@ -1,0 +1,122 @@
+"""Why what repeats as slabs would are no slabs in straight rows, but another pattern of stones, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from autoreg.errors import Refusal
+from autoreg.fitting.one_edge import MOST as MOST_ONE_EDGED
+from autoreg.rows.arcs import Arc
+from autoreg.rows.cross_joints import Lean
+from autoreg.rows.turning_stones import Directions
+
+# The joints across those of rows, or all of a field of stones, turn by less than this from the first rows to
+# the last, or from one side to the other: by some tenths of a degree in slabs. Where so much cannot be told
+# from none, it may well be.
+MOST_FANNED_DEG, FANNED_SIGMAS = 8.0, 2.5
+# Both families of a lattice's joints do not scatter in direction by more than this. Of right answers the
+# family with less of it does by 4.2 at most (wickerwork; elsewhere by 2.1), of waves that passed by 6.4.
+MOST_ASKEW_DEG = 5.5
+# Joints run along their lattice: those of pinwheels of large and small squares lie 2 degrees across what
+# looks like a lattice of theirs, others by 0.3 at most.
+MOST_OFF_DEG, OFF_SIGMAS = 1.0, 5.0
+# Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
+MOST_ARC_DEG, ARC_SIGMAS = 3.5, 4.0
+# Of the edges along a lattice's joints so many lie inside its slabs, over the share of those that lie
+# anywhere, where the slabs are cells of a pattern: 1.0 and more in herringbone, 0.3 at the most in real ones.
+MOST_INNER = 0.5
+
+
+def fanned(change: Lean | None) -> Refusal | None:
+    """The refusal of joints that turn from row to row as those across arcs do; None if they may not."""
+    return _curved(
+        change,
+        MOST_FANNED_DEG,
+        FANNED_SIGMAS,
+        "the joints across these rows turn by {:.0f} degrees from the first rows to the last, as those of "
+        "fans and waves do; photograph slabs with right angles",
+    )
+
+
+def turning(turn: Lean | None) -> Refusal | None:
+    """The refusal of stones that turn across their field as those of fans do; None if they may not."""
+    return _curved(
+        turn,
+        MOST_FANNED_DEG,
+        FANNED_SIGMAS,
+        "these stones turn by {:.0f} degrees from one side of their field to the other, as those of fans and "
+        "rings do; photograph slabs in straight rows",
+    )
+
+
+def askew(run: Sequence[Directions | None]) -> Refusal | None:
+    """The refusal of stones both families of whose joints scatter in direction; None if they do not."""
+    known = [float(np.degrees(family.scatter)) for family in run if family is not None]
+    if len(known) < len(run) or min(known) < MOST_ASKEW_DEG:
+        return None
+    return Refusal(
+        "no_lattice",
+        f"the joints of these stones run {min(known):.0f} degrees askew of each other (standard deviation), "
+        "as those of waves, fans and crazy paving do; photograph slabs in straight rows",
+        measured=min(known),
+        limit=MOST_ASKEW_DEG,
+    )
+
+
+def off_lattice(turn: Lean | None) -> Refusal | None:
+    """The refusal of a lattice across which its stones lie; None if they do not."""
+    return _curved(
+        turn,
+        MOST_OFF_DEG,
+        OFF_SIGMAS,
+        "what repeats here does so {:.1f} degrees askew of its joints, as patterns of stones of several "
+        "sizes do; photograph slabs in straight rows",
+    )
+
+
+def arcs(arc: Arc | None) -> Refusal | None:
+    """The refusal of unbroken joints that bow alike; None if they may be straight."""
+    return _curved(
+        None if arc is None else Lean(arc.turn, arc.sigma),
+        MOST_ARC_DEG,
+        ARC_SIGMAS,
+        "the joints along these rows are arcs, which turn by {:.0f} degrees from end to end, as those of "
+        "fans and waves do; photograph slabs in straight rows",
+    )
+
+
+def one_edged(share: float) -> Refusal | None:
+    """The refusal of joints of which only one edge was met, as `one_edge` tells it; None if both were."""
+    if share <= MOST_ONE_EDGED:
+        return None
+    return Refusal(
+        "no_lattice",
+        f"the ground beside these joints differs from one side to the other by {100 * share:.0f} % of their "
+        "contrast, the same way at every joint, as where only one edge of wide joints was met; photograph "
+        "slabs with joints narrower than a tenth of them, or from farther away",
+        measured=round(share, 2),
+        limit=MOST_ONE_EDGED,
+    )
+
+
+def filled(inner: float) -> Refusal | None:
+    """The refusal of a lattice whose slabs are full of edges along its joints; None if they are not."""
+    if inner < MOST_INNER:
+        return None
+    return Refusal(
+        "no_lattice",
+        "what repeats here as slabs would is full of joints itself, as herringbone and other patterns of "
+        "several stones are; photograph slabs in straight rows",
+        measured=round(inner, 2),
+        limit=MOST_INNER,
+    )
+
+
+def _curved(turn: Lean | None, most_deg: float, sure_sigmas: float, message: str) -> Refusal | None:
+    """The refusal, by a message about its degrees, of a turn that is clear; None of one that is not."""
+    degrees = None if turn is None else turn.clear_deg(most_deg, sure_sigmas)
+    if degrees is None:
+        return None
+    return Refusal("no_lattice", message.format(degrees), measured=round(degrees, 1), limit=most_deg)
