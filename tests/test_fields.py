@@ -21,6 +21,7 @@ from autoreg.paving.lattice_choice import Paving
 from autoreg.search import find_paving
 from autoreg.segments import Segments
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
+from autoreg.task import Task
 from tests.paved import gray_of
 
 CAMERA = Camera(900, 700, 800.0, 800.0, 449.5, 349.5)
@@ -258,10 +259,10 @@ def test_where_the_larger_field_is_refused_the_other_is_the_answer(
 ) -> None:
     measure = autoreg.align._measured
 
-    def of_bricks_alone(sight: Sight, picture: np.ndarray, found: Paving, *asked: object) -> object:
+    def of_bricks_alone(task: Task, found: Paving) -> object:
         if sides_m(found)[0] > 0.4:
             raise Refusal(code, "the slabs are refused")
-        return measure(sight, picture, found, *asked)
+        return measure(task, found)
 
     monkeypatch.setattr(autoreg.align, "_measured", of_bricks_alone)
     monkeypatch.setattr(autoreg.align, "find_rows", lambda *_: None)

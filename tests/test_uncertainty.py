@@ -400,3 +400,21 @@ def test_a_ratio_that_was_told_is_held_where_the_joints_confirm_it(
         assert told.parameters[0] == pytest.approx(-off * 5e-5 / sigma)
         assert told.covariance[RATIO] == pytest.approx(0.0, abs=1e-15)
         assert told.covariance[0, 0] == pytest.approx(1e-8 - 5e-5**2)
+
+
+@pytest.mark.parametrize(
+    ("shift", "chi_square", "alike"),
+    [
+        ((0.03, 4.0, -9.0, 0.0), 5.0, True),
+        ((0.03, 4.0, -9.0, 0.0), 50.0, False),
+        ((0.43, 4.0, -9.0, 0.0), 5.0, False),
+        ((0.03, 9.7, -436.0, 0.0), 5.0, False),
+    ],
+)
+def test_a_camera_far_from_the_given_one_does_not_clear_it(
+    stack_fit: Fit, shift: tuple[float, ...], chi_square: float, alike: bool
+) -> None:
+    nothing = np.zeros(SHIFT + 1)
+    motion = Estimate(nothing, nothing, np.eye(SHIFT + 1), Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0))
+    told = camera_check._Told(stack_fit, motion, chi_square, np.array(shift))
+    assert camera_check._alike(told, stack_fit) is alike

@@ -42,6 +42,9 @@ SPARE_NUMBERS = 6
 # A photo whose middle lies this many focal lengths off the axis (60 degrees) is none that a lens draws: those
 # cropped from very wide ones come to 50 degrees. A free camera that bent joints drive there tells nothing.
 MOST_OFF_AXIS = 1.73
+# Cameras are like each other whose focal length (its logarithm) and principal point (as a share of the
+# picture's width) differ by less.
+LIKE_FOCAL, LIKE_CENTRE = 0.2, 0.15
 # Slabs that scatter by less, in pixels, are even.
 EVEN_PX = 0.02
 
@@ -134,7 +137,7 @@ def check_camera(
                 break
         if chi_square >= CONTRADICTION:
             # What a camera like the given one does as well by joints that are measured anew is not its fault.
-            alike = [t for t in tried if t.chi_square < CONTRADICTION and _as_good(t, fit, both)]
+            alike = [t for t in tried if _alike(t, given) and _as_good(t, fit, both)]
             fit, both, chi_square, shift = min(
                 alike, key=lambda told: told.chi_square, default=_Told(fit, both, chi_square, shift)
             )
@@ -169,6 +172,16 @@ class _Told(NamedTuple):
     motion: Estimate
     chi_square: float
     shift: Float[np.ndarray, "4"]
+
+
+def _alike(told: _Told, given: Fit) -> bool:
+    """Whether the joints that another camera was fitted to do not contradict the given one, which is like it.
+
+    What a camera far off tells of its covariance there says nothing of the given one.
+    """
+    focal, centre_x, centre_y, _ = told.shift
+    near = abs(focal) < LIKE_FOCAL and np.hypot(centre_x, centre_y) < LIKE_CENTRE * given.camera.width
+    return bool(near) and told.chi_square < CONTRADICTION
 
 
 def _as_good(told: _Told, fit: Fit, motion: Estimate) -> bool:
