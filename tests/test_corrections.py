@@ -42,6 +42,24 @@ def test_a_customary_shift_is_kept_however_surely_the_cross_joints_contradict_it
     assert (with_measured_shift(sheared(odd, more)) is None) == (more == 0.0)
 
 
+@pytest.mark.parametrize(("thought", "told"), [(0.4985, 0.5), (0.5008, 0.5), (0.0009, 0.0), (0.9991, 0.0)])
+def test_a_shift_that_may_be_a_customary_one_is_taken_for_it(half_fit: Fit, thought: float, told: float):
+    even = replace(half_fit, distances_px=1e-3 * half_fit.distances_px)
+    odd = sheared(replace(even, grid=replace(even.grid, shift=thought)), 0.0002)
+    measured = with_measured_shift(odd)
+    assert measured is not None
+    assert measured.grid.shift == told
+
+
+def test_what_is_known_of_the_camera_holds_it_while_the_shift_is_measured():
+    # The joints alone leave a free camera open: their linear equations would turn it by tens of degrees.
+    photo = render_paving(replace(HALF_BOND, spacing_m=(0.4, 0.25), shift=0.36))
+    found = align(photo.pixels, None, slab=(0.4, 0.25), exif_focal_px=575.0)
+    assert found.camera.source == "exif"
+    assert found.lattice.shift == pytest.approx(0.36, abs=0.0005)
+    assert found.camera.camera.fx == pytest.approx(photo.camera.fx, rel=0.01)
+
+
 def test_a_photo_of_an_odd_bond_tells_its_shift():
     fit = fit_of(render_paving(replace(HALF_BOND, shift=0.47)))
     thought = replace(fit, grid=replace(fit.grid, shift=0.5))

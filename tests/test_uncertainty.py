@@ -23,7 +23,7 @@ from autoreg.slabs.camera_check import check_camera
 from autoreg.slabs.slab_model import Estimate, Scatter, estimate_motion
 from autoreg.slabs.uncertainty import Settled, _with_told_ratio, relinearised, settle
 from autoreg.solve.freedom import Free
-from autoreg.solve.joint_data import FOCAL, PARAMETERS, RATIO, SHIFT
+from autoreg.solve.joint_data import FOCAL, MOTION, PARAMETERS, RATIO
 from autoreg.solve.solver import Prior
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 
@@ -166,7 +166,7 @@ def with_unknown_camera(fit: Fit) -> Fit:
 
 def moved_far(fit: Fit) -> Fit:
     """The fit where a camera of another focal length, turned by three degrees, sees its joints."""
-    motion = np.zeros(SHIFT + 1)
+    motion = np.zeros(MOTION)
     motion[:3], motion[RATIO], motion[FOCAL] = (0.05, -0.02, 0.01), 0.02, 0.08
     motion[3:6] = fit.cam_from_ground.t - rotation_from_vector(motion[:3]) @ fit.cam_from_ground.t
     return relinearised(fit, fit.moved(motion))
@@ -181,7 +181,7 @@ def test_a_fit_that_is_moved_knows_the_distances_and_the_slopes_where_it_is() ->
     along = far.stations.family == ALONG_X
     assert far.stations.ground[along, 1] / far.grid.spacing_y == pytest.approx(far.stations.line[along])
     for parameter in (0, 4, RATIO, FOCAL):
-        step = np.zeros(SHIFT + 1)
+        step = np.zeros(MOTION)
         step[parameter] = 1e-5
         moved = far.moved(step)
         assert relinearised(far, moved).distances_px == pytest.approx(moved.distances_px, abs=1e-4)
@@ -388,10 +388,10 @@ def test_a_ratio_that_was_told_is_held_where_the_joints_confirm_it(
 ) -> None:
     ratio = 1.5 * np.exp(-off)
     free = Free(ratio=True, slab=(ratio, 1.0), ratio_sigma=0.01)
-    covariance = np.diag(np.full(SHIFT + 1, 1e-8))
+    covariance = np.diag(np.full(MOTION, 1e-8))
     covariance[RATIO, RATIO] = sigma**2
     covariance[0, RATIO] = covariance[RATIO, 0] = 5e-5 * sigma
-    nothing = np.zeros(SHIFT + 1)
+    nothing = np.zeros(MOTION)
     estimate = Estimate(nothing, nothing, covariance, Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0))
     told = _with_told_ratio(replace(stack_fit, free=free), estimate)
     assert (told is not None) == held
@@ -414,7 +414,7 @@ def test_a_ratio_that_was_told_is_held_where_the_joints_confirm_it(
 def test_a_camera_far_from_the_given_one_does_not_clear_it(
     stack_fit: Fit, shift: tuple[float, ...], chi_square: float, alike: bool
 ) -> None:
-    nothing = np.zeros(SHIFT + 1)
-    motion = Estimate(nothing, nothing, np.eye(SHIFT + 1), Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0))
+    nothing = np.zeros(MOTION)
+    motion = Estimate(nothing, nothing, np.eye(MOTION), Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0))
     told = camera_check._Told(stack_fit, motion, chi_square, np.array(shift))
     assert camera_check._alike(told, stack_fit) is alike

@@ -109,7 +109,7 @@ def describe_lattice(fit: Fit, presence: Presence, frame: Frame, scale: float) -
         kind=lattice_kind(grid),
         spacing_x=None if grid.spacing_x is None else scale * grid.spacing_x,
         spacing_y=scale * grid.spacing_y,
-        shift=None if grid.spacing_x is None else grid.shift,
+        shift=None if grid.spacing_x is None else grid.shift % 1.0,
         joint_width=scale * float((widths * counts).sum() / max(counts.sum(), 1)),
         extent=scale * frame.points(presence.field),
     )

@@ -20,7 +20,7 @@ from autoreg.fitting.one_edge import one_edge, with_both_edges
 from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight
-from autoreg.paving.corrections import with_measured_shift
+from autoreg.paving.corrections import MOST_SHIFTS, with_measured_shift
 from autoreg.paving.inner_joints import inner_share
 from autoreg.paving.lattice_choice import Paving, line_evidence, of_joints_alone, presented
 from autoreg.paving.presence import presence_of
@@ -45,8 +45,6 @@ from autoreg.solve.freedom import Free
 MOST_FOCAL_SIGMA = 0.05
 # How far joints are measured, in camera heights.
 REACH = 12.0
-# How often a shift may be corrected.
-MOST_SHIFTS = 3
 # Where more joints than this are missed they are looked for farther off, from the camera's feet outwards.
 MOST_MISSED = 0.3
 

@@ -170,7 +170,7 @@ def _step(fit: Fit, segments: Segments, field: Float[np.ndarray, "k 2"], known: 
         squares = left**2 / angles.variance
         size = max(float(np.median(squares)) / MEDIAN_SQUARE, LEAST_SCATTER)
         weight = 1.0 / (1.0 + squares / (CAUCHY_SIGMAS**2 * size))
-    parameters, whole = np.zeros(terms.SHIFT + 1), np.zeros((terms.SHIFT + 1, terms.SHIFT + 1))
+    parameters, whole = np.zeros(terms.MOTION), np.zeros((terms.MOTION, terms.MOTION))
     parameters[list(_ALL)] = x
     whole[np.ix_(_ALL, _ALL)] = covariance
     return _Step(parameters, whole, scatter, angles.crossing)

@@ -195,7 +195,7 @@ def _judged(
     if effect > MOST_DESIGN_EFFECT:
         return None
     plain, doubted = answer.plain[:6, :6], answer.added[:6, :6]
-    turn, shift = _parameters(fit, state.shape)[:3], state.shape.pose.t - fit.cam_from_ground.t
+    turn, shift = _motion(fit, state.shape)[:3], state.shape.pose.t - fit.cam_from_ground.t
     away = np.r_[turn, shift]
     if away @ np.linalg.solve(covariance + plain + doubted, away) > chdtri(6, CONTRADICTION):
         return None
@@ -203,13 +203,12 @@ def _judged(
     step[last.normal.free] = answer.step[: len(last.normal.free)]
     shape = moved_shape(state.shape, step)
     if fit.grid.odd_bond:
-        shape = replace(shape, grid=replace(shape.grid, shift=shape.grid.shift + float(answer.step[-1])))
+        more = float(answer.step[len(last.normal.free) + ODD_SHIFT.columns[0]])
+        shape = replace(shape, grid=replace(shape.grid, shift=shape.grid.shift + more))
     moved = replace(
-        fit,
+        fit.moved(_motion(fit, shape)),
         cam_from_ground=shape.pose,
-        grid=shape.grid,
         strip=replace(fit.strip, width=shape.width),
-        distances_px=fit.distances_px + fit.moves_px(_parameters(fit, shape)),
     )
     return Photometric(moved, plain, doubted, _lopsided(last, answer), state.noise, effect, len(pixels))
 
@@ -240,15 +239,15 @@ def _averaged(last: Step, together: float) -> tuple[Averaged, float]:
     return averaged_over(doubts, information / variance, score / variance, known), effect
 
 
-def _parameters(fit: Fit, shape: Shape) -> Float[np.ndarray, " s"]:
-    """The motion from a fit in the solver's parameters, where the turn swings the translation along."""
-    parameters = np.zeros(terms.SHIFT + 1)
+def _motion(fit: Fit, shape: Shape) -> Float[np.ndarray, " s"]:
+    """The motion from a fit to a shape, where the turn swings the translation along."""
+    motion = np.zeros(terms.MOTION)
     turn = shape.pose.R @ fit.cam_from_ground.R.T
     skew = 0.5 * (turn - turn.T)
-    parameters[terms.ROTATION] = skew[2, 1], skew[0, 2], skew[1, 0]
-    parameters[terms.TRANSLATION] = shape.pose.t - turn @ fit.cam_from_ground.t
-    parameters[terms.RATIO] = np.log((shape.grid.spacing_x or 1.0) / shape.grid.spacing_y) - np.log(
+    motion[terms.ROTATION] = skew[2, 1], skew[0, 2], skew[1, 0]
+    motion[terms.TRANSLATION] = shape.pose.t - turn @ fit.cam_from_ground.t
+    motion[terms.RATIO] = np.log((shape.grid.spacing_x or 1.0) / shape.grid.spacing_y) - np.log(
         (fit.grid.spacing_x or 1.0) / fit.grid.spacing_y
     )
-    parameters[terms.SHIFT] = shape.grid.shift - fit.grid.shift
-    return parameters
+    motion[terms.SHIFT] = shape.grid.shift - fit.grid.shift
+    return motion

@@ -21,7 +21,7 @@ from autoreg.ground.rectify import near_reach, rectify
 from autoreg.ground.sides import Grid, visible_sides
 from autoreg.ground.sight import Look, Looks
 from autoreg.paving.bond import BondHypothesis, bond_hypotheses
-from autoreg.paving.corrections import with_measured_shift
+from autoreg.paving.corrections import MOST_SHIFTS, with_measured_shift
 from autoreg.paving.lattice_choice import Paving, hopeful, presented, settle_bond
 from autoreg.paving.multiples import divided, slabs_in_one, too_long
 from autoreg.paving.periods import Comb, best_combs
@@ -35,9 +35,6 @@ MOST_STARTS = 6
 STATIONS = 700
 # How far a fit looks in its rounds, in camera heights, as it grows from the feet, and in a known field.
 OUTWARDS, FIELD_REACH, IN_FIELD_ROUNDS = (2.5, 4.0, 7.0), 9.0, 3
-# Courses that are thought to move on by a usual part of a slab, and do by another, are lost some rows on. How
-# often a fit is repeated by the shift that the joints tell.
-MOST_SHIFTS = 3
 # Where a round of a fit that looks farther moves its joints by less than this, farther ones are as expected.
 STEADY_PX = 0.1
 # Sides that tell whether a start is worth following.
@@ -177,12 +174,20 @@ def _fitted(
 ) -> Fit | None:
     """The fit that a start grows to, with the shift from course to course that its own joints tell."""
     fit = fit_outwards(picture, camera, cam_from_ground, grid, free, field)
+    if fit is None:
+        return None
+    best = fit
     for _ in range(MOST_SHIFTS):
-        shifted = fit and with_measured_shift(fit)
+        shifted = with_measured_shift(fit)
         if shifted is None:
             break
-        fit = fit_outwards(picture, camera, shifted.cam_from_ground, shifted.grid, free, field)
-    return fit
+        again = fit_outwards(picture, shifted.camera, shifted.cam_from_ground, shifted.grid, free, field)
+        if again is None:
+            break
+        fit = again
+        if fit.missed <= best.missed:
+            best = fit
+    return best
 
 
 def _fitted_anew(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving:

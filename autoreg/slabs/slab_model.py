@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from autoreg.fitting.fit import Fit
 from autoreg.numbering import numbered
 from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
-from autoreg.solve.joint_data import SHIFT
+from autoreg.solve.joint_data import MOTION
 from autoreg.solve.solver import Prior
 from autoreg.spread import spread_about
 
@@ -138,7 +138,7 @@ def estimate_motion(
     sunk = 1.0 - float(weight[flat].sum())
     misfit = _misfit(model, sizes, relief, sunk) if near is None else near.misfit
     spread = np.tensordot(weight, inner, 1) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
-    (parameters, relieved), covariance = np.zeros((2, SHIFT + 1)), np.zeros((SHIFT + 1, SHIFT + 1))
+    (parameters, relieved), covariance = np.zeros((2, MOTION)), np.zeros((MOTION, MOTION))
     parameters[model.free], relieved[model.free] = mean * model.unit, by_relief * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
     place, lift, turn, course = sizes

@@ -13,8 +13,9 @@ from jaxtyping import Float
 PARAMETERS = 15
 ROTATION, TRANSLATION, RATIO = slice(0, 3), slice(3, 6), 6
 FOCAL, CENTRE_X, CENTRE_Y, RADIAL, ASPECT, SECOND_RADIAL, TANGENTIAL_X, TANGENTIAL_Y = range(7, 15)
-# Where a running bond's shift is estimated, which no solve changes, it stands behind them.
+# A motion has them, and behind them the change of a running bond's shift, which no solve makes.
 SHIFT = PARAMETERS
+MOTION = PARAMETERS + 1
 CENTRE, TANGENTIAL = slice(CENTRE_X, CENTRE_Y + 1), slice(TANGENTIAL_X, TANGENTIAL_Y + 1)
 
 

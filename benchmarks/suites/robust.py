@@ -68,6 +68,10 @@ def _bent(scene: SyntheticScene, k1: float) -> SyntheticScene:
     return replace(scene, camera=replace(scene.camera, dist=(k1, k1 * k1, *scene.camera.dist[2:])))
 
 
+def _bond(scene: SyntheticScene, shift: float) -> SyntheticScene:
+    return replace(scene, spacing_m=(0.6, 0.3), shift=shift)
+
+
 def _false_lines(photo: Photo, share: float, rng: np.random.Generator) -> Photo:
     """Dark lines of a joint's look, anywhere: so many for a true one that they are this share of all."""
     gray, (height, width) = photo.gray.copy(), photo.gray.shape
@@ -155,9 +159,8 @@ AXES = (
         spoil=lambda photo, depth, rng: replace(photo, gray=soft_light(photo.gray, depth, rng)),
     ),
     Axis("distortion", "k1 (k2 its square)", (0.0, -0.1, -0.2, -0.3), _bent),
-    Axis(
-        "bond", "shift", (0.0, 0.25, 1 / 3, 0.5), lambda s, v: replace(s, spacing_m=(0.6, 0.3), shift=v)
-    ),
+    Axis("bond", "shift", (0.0, 0.25, 1 / 3, 0.5), _bond),
+    Axis("odd bond", "shift", (0.05, 0.1, 0.16, 0.31, 0.45, 0.52), _bond),
     Axis("joint width", "mm", (2, 4, 8, 20, 40), lambda s, v: replace(s, joint_width_m=1e-3 * v)),
     Axis("smear", "px", (0.0, 2.0, 4.0, 8.0, 12.0), spoil=_smeared),
     Axis("wrong focal length", "%", (0, 1, 3, 10, 20, 30), spoil=_wrong_camera),
