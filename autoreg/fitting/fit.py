@@ -71,13 +71,17 @@ class Fit:
         used = [self.usable & (self.stations.family == k) for k in np.unique(self.stations.family)]
         return max(float(np.median(np.abs(self.distances_px[rows]))) for rows in used if rows.any())
 
+    @property
+    def by_shift_px(self) -> Float[np.ndarray, " n"]:
+        """How far a unit of the bond's shift moves the projected joints, across them."""
+        return moved_by_shift(self.stations, self.grid) * self.profiles.px_per_unit
+
     def moves_px(self, motion: Float[np.ndarray, " s"]) -> Float[np.ndarray, " n"]:
         """How far a small motion moves the projected joints, across them.
 
         The motion is of the solver's parameters, and of the bond's shift behind them.
         """
-        by_shift = moved_by_shift(self.stations, self.grid) * self.profiles.px_per_unit
-        return self.solution.jacobian @ motion[:SHIFT] + by_shift * motion[SHIFT]
+        return self.solution.jacobian @ motion[:SHIFT] + self.by_shift_px * motion[SHIFT]
 
     def moved(self, motion: Float[np.ndarray, " s"]) -> Fit:
         """The fit after a small motion of pose, camera and lattice; its joints are not measured anew."""

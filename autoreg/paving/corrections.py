@@ -10,7 +10,6 @@ from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.bond_shift import nearest_customary
 from autoreg.ground.sides import ALONG_Y
-from autoreg.ground.stations import moved_by_shift
 from autoreg.solve import joint_data as terms
 from autoreg.solve.joint_data import MOTION, SHIFT
 
@@ -38,9 +37,8 @@ def with_measured_shift(fit: Fit) -> Fit | None:
     crossing = stations.family == ALONG_Y
     if len(np.unique(stations.cell[crossing])) < 3:
         return None
-    by_shift = moved_by_shift(stations, grid) * fit.profiles.px_per_unit[rows]
     free = np.flatnonzero(fit.free.mask)
-    J = np.column_stack([fit.solution.jacobian[np.ix_(rows, free)], by_shift])
+    J = np.column_stack([fit.solution.jacobian[np.ix_(rows, free)], fit.by_shift_px[rows]])
     weight, known = np.sqrt(fit.weight[rows]) / fit.sigma_px[rows], fit.free.prior(fit.camera, grid)
     surely = np.r_[1.0 / known.sigma[free], 0.0]
     A = np.concatenate([J * weight[:, None], np.diag(surely)])

@@ -17,7 +17,6 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from autoreg.fitting.design_effect import drawn_design_effect
 from autoreg.fitting.fit import Fit
-from autoreg.ground.stations import moved_by_shift
 from autoreg.slabs.banded import solve_lower_banded
 from autoreg.slabs.measured_joints import measured_joints
 from autoreg.slabs.slab_effects import (
@@ -77,8 +76,7 @@ class SlabEquations:
         # The widths know nothing of the pose, but what makes them differ moves the middles as well.
         moved = fit.solution.jacobian[np.ix_(rows, free)]
         if fit.grid.odd_bond:
-            by_shift = moved_by_shift(fit.stations.take(rows), fit.grid) * joints.px_per_unit
-            moved, free = np.column_stack([moved, by_shift]), np.r_[free, SHIFT]
+            moved, free = np.column_stack([moved, fit.by_shift_px[rows]]), np.r_[free, SHIFT]
         self.free, J = free, joints.middles_only(moved)
         # Columns of unit length keep the normal equations well scaled.
         self.unit = 1.0 / np.maximum(np.linalg.norm(J, axis=0), 1e-12)
