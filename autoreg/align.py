@@ -242,7 +242,8 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
     fit, told = last.fit, fit.grid.spacing_x is not None
     if source == "photo" and told and check.focal_sigma_px > MOST_SLABS_FOCAL_SIGMA * check.focal_px:
         sigma = check.focal_sigma_px / check.focal_px
-        raise focal_untold("slabs", fit.camera.fx, sigma, MOST_SLABS_FOCAL_SIGMA)
+        helps = task.slab is None
+        raise focal_untold("slabs", fit.camera.fx, sigma, MOST_SLABS_FOCAL_SIGMA, slab_helps=helps)
     if source == "photo" and not plausible_focal(fit.camera, laid.fit.free):
         raise focal_implausible(fit.camera)
     scale, scale_source = metric_scale(fit, task.slab, task.camera_height, laid.longer)

@@ -109,6 +109,11 @@ def test_paving_that_leaves_the_focal_length_open_says_how_far_and_asks_for_the_
     assert ("21 %" in refusal.message) == told
     assert ("1234 px" in refusal.message) == told
     assert ("rows" in refusal.message) == (kind == "rows")
+    assert "--slab" not in refusal.message
+
+
+def test_a_focal_length_that_is_left_open_may_be_told_by_a_slab():
+    assert "--slab" in focal_untold("slabs", 1970.0, 0.26, 0.25, slab_helps=True).message
 
 
 @pytest.mark.parametrize(("degrees", "sigma_deg"), [(1.3, 0.1), (8.0, 3.0)])

@@ -101,6 +101,17 @@ def test_the_jitter_of_the_slabs_is_found_from_the_residuals() -> None:
     assert settle(fitted(0.002, 1)).scatter.place == pytest.approx(0.002, rel=0.5)
 
 
+def test_how_much_slabs_scatter_does_not_hang_on_where_the_search_for_it_starts() -> None:
+    fit = fitted(0.002, 1)
+    known, mask = fit.free.prior(fit.camera, fit.grid), fit.free.mask
+    first = estimate_motion(fit, mask, known).scatter
+    places = []
+    for factor in (0.85, 1.0, 1.18):
+        near = replace(first, place=factor * first.place)
+        places.append(estimate_motion(fit, mask, known, near).scatter.place)
+    assert max(places) < 1.1 * min(places)
+
+
 def test_courses_that_lie_aside_are_told_from_slabs_that_do() -> None:
     whole = settle(fitted(0.0003, 1, course_jitter_m=0.002)).scatter
     single = settle(fitted(0.002, 1)).scatter

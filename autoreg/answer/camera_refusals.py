@@ -77,7 +77,12 @@ def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal 
 
 
 def focal_untold(
-    kind: Literal["rows", "slabs"], focal_px: float | None, sigma_log_focal: float, limit: float
+    kind: Literal["rows", "slabs"],
+    focal_px: float | None,
+    sigma_log_focal: float,
+    limit: float,
+    *,
+    slab_helps: bool = False,
 ) -> Refusal:
     """The refusal of paving that leaves the focal length open, and with it the camera's tilt or its height.
 
@@ -86,6 +91,7 @@ def focal_untold(
         focal_px: the likeliest focal length, if there is any.
         sigma_log_focal: standard deviation of its logarithm.
         limit: the largest one that will do.
+        slab_helps: whether the ratio of a slab's sides, which nobody has told, may tell it.
     """
     what, depends, instead = {
         "rows": (
@@ -99,10 +105,11 @@ def focal_untold(
     if focal_px is not None:
         percent = 100 * sigma_log_focal
         told = f"tell its focal length only as {focal_px:.0f} px with a standard deviation of {percent:.0f} %"
+    by_slab = "or the sides of a slab with --slab, whose ratio may tell it, " if slab_helps else ""
     return Refusal(
         "ambiguous",
         f"the photo names no camera, and {what} {told}, on which {depends} depends; give the camera with "
-        f"--camera, or photograph {instead} steeply from above",
+        f"--camera, {by_slab}or photograph {instead} steeply from above",
         measured=None if focal_px is None else round(sigma_log_focal, 3),
         limit=limit,
     )

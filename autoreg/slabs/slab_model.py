@@ -39,7 +39,8 @@ WIDE_SEARCHES = (
     ((0.5, 0.75, 1.3), (), (), (0.0, 0.8, 2.0, 5.0)),
 )
 FIRST = (0.33, 0.25, 0.3)
-NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0)),)
+# Near an earlier estimate, finely: how much evener another camera makes the slabs is judged by it.
+NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0)), ((0.85, 1.18), (), (), ()))
 # Factors of the likeliest place's size over which the answer is averaged, from it downwards and upwards, and
 # by how much less likely one is that no longer counts, nor do those beyond.
 LIKELY, NEGLIGIBLE_NATS = ((1.0, 0.75, 0.55), (1.33, 1.8)), 9.0
