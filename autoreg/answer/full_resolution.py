@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from autoreg.answer.camera_refusals import focal_untold
@@ -16,7 +17,7 @@ from autoreg.errors import Refusal
 from autoreg.fitting.bare_steps import from_near_rims
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.lit_walls import beside_lit_walls
-from autoreg.fitting.one_edge import one_edge, with_both_edges
+from autoreg.fitting.one_edge import met_at_one_edge, with_both_edges
 from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight
@@ -47,6 +48,10 @@ MOST_FOCAL_SIGMA = 0.05
 REACH = 12.0
 # Where more joints than this are missed they are looked for farther off, from the camera's feet outwards.
 MOST_MISSED = 0.3
+# Joints that are so many times as wide as was thought at detection scale were met at one edge there.
+BOTH_EDGES = 3.0
+# Where most joints are wider than this at detection scale, it is no place to look for lines.
+WIDEST_LINE_PX = 6.0
 
 
 @dataclass(frozen=True)
@@ -108,6 +113,7 @@ def measured_slabs(
     bowed = _bowed(fit) or _turned(sight.segments, fit, found.presence.field)
     if bowed is not None:
         raise bowed
+    small = _with_lines(small, fit)
     settled = presented(small, _at_detection_scale(fit, small, start), within=start.within)
     if settled is None or settled.margin_nats < 0:
         raise no_lattice(settled, None)
@@ -191,7 +197,7 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
         again = None if grown is None else measured(grown)
         fit = again if again is not None and again.missed < fit.missed else fit
     fit = with_both_edges(picture, fit, reach=REACH, field=field)
-    halved = one_edged(max(one_edge(fit)))
+    halved = one_edged(met_at_one_edge(picture, fit))
     if halved is not None:
         raise halved
     for _ in range(MOST_SHIFTS):
@@ -202,12 +208,23 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     return fit
 
 
+def _with_lines(small: np.ndarray, fit: Fit) -> np.ndarray:
+    """The photo at detection scale, or smaller, so that most joints of a fit are lines in it."""
+    wide_px = np.array(fit.strip.width)[fit.stations.family] * fit.profiles.px_per_unit
+    factor = WIDEST_LINE_PX / float(np.median(wide_px[fit.usable])) * fit.camera.width / small.shape[1]
+    return (
+        cv2.resize(small, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA) if factor < 1 else small
+    )
+
+
 def _at_detection_scale(fit: Fit, small: np.ndarray, found: Paving) -> Fit:
     """A fit as the small picture shows it, where the presence of sides is judged."""
     camera = fit.camera.scaled(small.shape[1], small.shape[0])
-    looks = fit.strip.resized(small.shape[1] / fit.camera.width)
-    strip = replace(looks, blur_px=found.fit.strip.blur_px, polarity=found.fit.strip.polarity)
-    return replace(fit, camera=camera, strip=strip)
+    looks, before = fit.strip.resized(small.shape[1] / fit.camera.width), found.fit.strip
+    # Thin joints may not show there. Of wide ones that were met at one edge there, both show.
+    own, seen = (np.array([*strip.polarity]) for strip in (looks, before))
+    x, y = np.where(np.array(looks.width) > BOTH_EDGES * np.array(before.width), own, seen).tolist()
+    return replace(fit, camera=camera, strip=replace(looks, blur_px=before.blur_px, polarity=(x, y)))
 
 
 def _settled_rows(small: np.ndarray, fit: Fit, rows: Rows) -> Paving:

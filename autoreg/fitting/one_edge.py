@@ -7,14 +7,16 @@ the tones of slabs differ either way.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Float
 
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import WIDE_SEARCH, refine_until_still
+from autoreg.geometry import Rigid
+from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.joints.joint_looks import Strip, first_look, projected_width_px, sample
+from autoreg.joints.profiles import sample_profiles
 
 # Fewer stations than this do not tell it.
 FEWEST = 30
@@ -23,6 +25,18 @@ FEWEST = 30
 MOST = 0.4
 # Widths that are tried instead, in slab sides, and what is tried of a family that may have been drawn along.
 WIDER, DRAWN_ALONG = (0.1, 0.15), 0.25
+# Sides that differ by more give cause to ask the profiles how wide the joints are: some of a wide joint's
+# stations may lie at one edge and some at the other. They are asked with these shares of a slab's side, where
+# slabs are so many pixels wide, and believed if the joints are so many times as wide as thought. Beyond a
+# narrow joint a wide strip fits the tones of slabs at times, but not where its sides differ.
+SUSPECT, SHARES, SLABS_PX, CLEARLY_WIDER = (
+    0.15,
+    (0.08, 0.1, 0.125, 0.155, 0.19, 0.23, 0.28),
+    (24.0, 200.0),
+    1.5,
+)
+# How far the profiles that tell it reach, in slab sides.
+REACH = 0.35
 
 
 def one_edge(fit: Fit) -> tuple[float, float]:
@@ -54,6 +68,19 @@ def with_both_edges(
 
     `reach` and `field` are as for `refine`.
     """
+
+    def as_wide_as(width: tuple[float, float], pose: Rigid) -> Fit:
+        again = refine_until_still(
+            picture, fit.camera, pose, fit.grid,
+            free=fit.free, search=WIDE_SEARCH, reach=reach, field=field,
+            strip=Strip(width, fit.strip.blur_px),
+        )  # fmt: skip
+        return again if again is not None and max(one_edge(again)) < max(one_edge(fit)) else fit
+
+    if max(one_edge(fit)) > SUSPECT:
+        seen = _as_seen(picture, fit)
+        if seen is not None and _wider(seen[0], fit):
+            fit = as_wide_as(*seen)
     for share in WIDER:
         met = one_edge(fit)
         if max(met) <= MOST:
@@ -63,11 +90,43 @@ def with_both_edges(
             share * side if edge > DRAWN_ALONG else width
             for edge, side, width in zip(met, sides, fit.strip.width, strict=True)
         )
-        again = refine_until_still(
-            picture, fit.camera, fit.cam_from_ground, fit.grid,
-            free=fit.free, search=WIDE_SEARCH, reach=reach, field=field,
-            strip=replace(fit.strip, width=(x, y), polarity=(0, 0), polarity_known=False),
-        )  # fmt: skip
-        if again is not None and max(one_edge(again)) < max(met):
-            fit = again
+        fit = as_wide_as((x, y), fit.cam_from_ground)
     return fit
+
+
+def met_at_one_edge(picture: Float[np.ndarray, "h w"], fit: Fit) -> float:
+    """By what share of their contrast the sides of joints differ, as `one_edge` has it, that were met at one.
+
+    Zero where profiles that reach far beyond them show joints that are no wider than the fit has them: then
+    their rims look otherwise than their slabs, as rounded ones in the sun do.
+    """
+    share = max(one_edge(fit))
+    seen = _as_seen(picture, fit) if share > MOST else None
+    return share if seen is None or _wider(seen[0], fit) else 0.0
+
+
+def _wider(width: tuple[float, float], fit: Fit) -> bool:
+    """Whether joints of such widths are clearly wider than a fit has them, of either family."""
+    return any(now > CLEARLY_WIDER * thought for now, thought in zip(width, fit.strip.width, strict=True))
+
+
+def _as_seen(picture: Float[np.ndarray, "h w"], fit: Fit) -> tuple[tuple[float, float], Rigid] | None:
+    """How wide the joints are in profiles that reach far beyond, and the pose at which the fit's lie on them.
+
+    None where slabs are seen too small, or too large, to tell.
+    """
+    grid, stations = fit.grid, fit.stations
+    side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
+    slab_px = projected_width_px(fit.camera, fit.cam_from_ground, stations, (side[1], side[0]))
+    clear = (slab_px > SLABS_PX[0]) & (slab_px < SLABS_PX[1])
+    if clear.sum() < FEWEST:
+        return None
+    rows = np.concatenate([sample(clear & (stations.family == family)) for family in (ALONG_X, ALONG_Y)])
+    some, half = stations.take(rows), REACH * slab_px[rows]
+    profiles = sample_profiles(picture, fit.camera, fit.cam_from_ground, some, half)
+    own = (fit.strip.width[0] / side[1], fit.strip.width[1] / side[0])
+    shares = tuple(sorted({*own, *SHARES}))
+    off_px, strip = first_look(profiles, some, fit.strip, side, WIDE_SEARCH * slab_px[rows], shares)
+    off = off_px / profiles.px_per_unit
+    y, x = (float(np.median(np.r_[0.0, off[some.family == family]])) for family in (ALONG_X, ALONG_Y))
+    return strip.width, with_origin(fit.cam_from_ground, x, y)

@@ -73,7 +73,7 @@ def _strips(
     step, strip = near + far, near - far
     for column in (step, strip):
         column -= column.mean(1, keepdims=True)
-    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    step /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), LEAST_NORM)
     strip -= (step * strip).sum(1, keepdims=True) * step
     # Where one edge lies beyond the samples a strip is no more than a step.
     strip /= np.maximum(np.linalg.norm(strip, axis=1, keepdims=True), LEAST_NORM)

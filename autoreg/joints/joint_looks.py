@@ -18,8 +18,8 @@ from autoreg.joints.profiles import Profiles
 # Joint widths, in slab sides, and blurs in pixels that are tried where nothing is known of them, ...
 WIDTHS = np.geomspace(0.004, 0.16, 14)
 BLURS = np.array([0.5, 0.65, 0.8, 1.0, 1.3, 1.7, 2.2, 2.9, 3.8, 5.0, 6.5])
-# ... and the factors that are tried of what is known.
-NEARBY = np.array([0.72, 0.86, 1.0, 1.16, 1.4])
+# ... and the factors that are tried of what is known, up to the widest joints that slabs have.
+NEARBY, WIDEST = np.array([0.72, 0.86, 1.0, 1.16, 1.4]), 0.3
 # Joint widths, in slab sides, that are tried at first, and by how much a wider one must lower the mean log
 # variance: a bare step fits the edge of any.
 FIRST_SHARES, WIDER = (0.006, 0.015, 0.035, 0.08), 0.03
@@ -132,13 +132,18 @@ def search_joints(
 
 
 def first_look(
-    profiles: Profiles, stations: Stations, strip: Strip, side: np.ndarray, reach_px: np.ndarray
+    profiles: Profiles,
+    stations: Stations,
+    strip: Strip,
+    side: np.ndarray,
+    reach_px: np.ndarray,
+    shares: tuple[float, ...] = FIRST_SHARES,
 ) -> tuple[np.ndarray, Strip]:
     """Joint widths that explain the profiles best, from a few guesses, and the offsets found with them.
 
     Each family has its own. All guesses are judged by all that is seen of a profile: within its own reach a
     narrow strip explains one edge of a wide joint as well as a wide one explains both. A sample tells which
-    guess is right, and whether the profiles are shaded.
+    guess is right, and whether the profiles are shaded. The guesses are `shares` of a slab's side.
     """
     rows = np.sort(np.concatenate([sample(stations.family == family) for family in (ALONG_X, ALONG_Y)]))
     some, places, reach = profiles.take(rows), stations.take(rows), float(reach_px.max())
@@ -152,8 +157,8 @@ def first_look(
 
     blur = np.array([strip.blur_px])
     # Of even and of falling light, by family and guess; a family of which nothing is seen keeps what it has.
-    misfits = np.full((2, 2, len(FIRST_SHARES)), np.nan)
-    guesses = [replace(strip, width=(share * side[1], share * side[0])) for share in FIRST_SHARES]
+    misfits = np.full((2, 2, len(shares)), np.nan)
+    guesses = [replace(strip, width=(share * side[1], share * side[0])) for share in shares]
     for k, guess in enumerate(guesses):
         offset_px = looked(some, places, guess, reach_px[rows])
         for family in (ALONG_X, ALONG_Y):
@@ -225,7 +230,7 @@ def estimate_strip(
             continue
         known = not thorough and strip.polarity[family] != 0
         options = (
-            across * np.clip(width[family] / across * NEARBY, *WIDTHS[[0, -1]]) if known else across * WIDTHS
+            across * np.clip(width[family] / across * NEARBY, WIDTHS[0], WIDEST) if known else across * WIDTHS
         )
         if strip.polarity[family] == 0:
             # Between tones that only step up and down, a wide strip fits whatever else is near.
