@@ -135,3 +135,18 @@ def test_rims_that_the_sun_lights_on_one_side_are_no_wide_joints(monkeypatch: py
 
 def test_joints_met_at_one_edge_that_are_wider_than_thought_are_told(along_edges: Fit, photo: SyntheticPhoto):
     assert met_at_one_edge(gray_of(photo), along_edges) == max(one_edge(along_edges))
+
+
+def test_what_crosses_wide_joints_does_not_bias_uneven_slabs():
+    """Stations keep off the crossings by more, the wider these are."""
+    pose = look_at_ground(pitch_deg=53.0, height_m=1.0, heading_deg=8.0, roll_deg=1.3, foot_m=(0.13, 0.21))
+    wide = render_paving(
+        replace(
+            SCENE, camera=Camera.from_focal(1024, 768, 896.0), cam_from_ground=pose,
+            spacing_m=(0.2, 0.1), joint_width_m=0.02, jitter_m=0.0005, seed=21,
+        )
+    )  # fmt: skip
+    found = autoreg.align(wide.pixels, wide.camera, slab=(0.2, 0.1))
+    height = found.pose.cam_from_ground.origin_in_a[2] / pose.origin_in_a[2]
+    assert height == pytest.approx(1.0, abs=0.0007)
+    assert found.pose.sigma_height < 0.001

@@ -41,6 +41,9 @@ MOST_SIDES = 200.0
 # Where joints are neither dark nor light, those whose contrast, against the light around them, is below this
 # part of what is usual are none.
 FAINT = 0.1
+# What stations keep off the ends of their side, as a share of it: at least so much, and so much more than the
+# width of the joint that crosses there, of which half lies within the side, and more where it is seen aslant.
+LEAST_MARGIN, BESIDE_CROSSING = 0.1, 0.05
 # What is seen on either side of a joint, and the farthest that profiles reach for wide ones, in pixels.
 SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
 # ... and where nothing is known of the joints.
@@ -158,8 +161,13 @@ def _round(
     sides = visible_sides(camera, pose, grid, reach=reach, field=field)
     if len(sides) < 6:
         return None
-    stations = place_stations(sides, camera, pose, limit=limit)
     side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
+    margin: float | np.ndarray = LEAST_MARGIN
+    if strip is not None:
+        # What crosses a side is of the other family.
+        crossing = np.where(sides.family == ALONG_X, strip.width[1] / side[0], strip.width[0] / side[1])
+        margin = np.maximum(LEAST_MARGIN, BESIDE_CROSSING + crossing)
+    stations = place_stations(sides, camera, pose, limit=limit, margin=margin)
     across = np.where(stations.family == ALONG_X, side[1], side[0])
     least = 10.0 if search else 7.0
     if strip is None:

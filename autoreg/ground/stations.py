@@ -60,19 +60,21 @@ def place_stations(
     *,
     length_px: float = 24.0,
     limit: int = 2048,
-    margin: float = 0.1,
+    margin: float | Float[np.ndarray, " m"] = 0.1,
 ) -> Stations:
     """Stations of about `length_px` along each side, clear of the crossings at its ends.
 
+    They keep off the ends by a `margin`, a share of the side or of each of the sides.
     Where they would be more than `limit`, they are spread over all sides by leaving out every so many.
     """
     px = project_ground(camera, cam_from_ground, sides.ends)
+    margin = np.broadcast_to(margin, len(sides))
     usable = (1 - 2 * margin) * lengths(px[:, 1] - px[:, 0])
     count = np.clip(np.round(usable / length_px), 1, 12).astype(int)
     side = np.repeat(np.arange(len(sides)), count)
     nth = np.arange(len(side)) - np.repeat(np.cumsum(count) - count, count)
-    step = (1 - 2 * margin) / count[side]
-    fraction = margin + (nth + 0.5) * step
+    step = (1 - 2 * margin[side]) / count[side]
+    fraction = margin[side] + (nth + 0.5) * step
     start, end = sides.ends[side, 0], sides.ends[side, 1]
     stations = Stations(
         ground=start + fraction[:, None] * (end - start),

@@ -35,7 +35,9 @@ def smear_px(
     """
     found = [0.0, 0.0]
     for family in (ALONG_X, ALONG_Y):
-        rows = sample(usable & (stations.family == family), SAMPLE)
+        # What is wider looks no wider by any of these smears.
+        narrow = strip.width[family] * profiles.px_per_unit < NARROWEST_PX[-1]
+        rows = sample(usable & narrow & (stations.family == family), SAMPLE)
         if strip.polarity[family] == 0 or len(rows) < FEWEST:
             continue
         parts_px = OWN_PARTS[:, None, None] * strip.width[family] * profiles.px_per_unit[rows]
