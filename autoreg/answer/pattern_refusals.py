@@ -95,7 +95,7 @@ def one_edged(share: float) -> Refusal | None:
         "no_lattice",
         f"the ground beside these joints differs from one side to the other by {100 * share:.0f} % of their "
         "contrast, the same way at every joint, as where only one edge of wide joints was met; photograph "
-        "slabs with joints narrower than a tenth of them, or from farther away",
+        "slabs with joints narrower than a quarter of them, or from farther away",
         measured=round(share, 2),
         limit=MOST_ONE_EDGED,
     )

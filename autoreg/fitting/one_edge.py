@@ -26,15 +26,11 @@ MOST = 0.4
 # Widths that are tried instead, in slab sides, and what is tried of a family that may have been drawn along.
 WIDER, DRAWN_ALONG = (0.1, 0.15), 0.25
 # Sides that differ by more give cause to ask the profiles how wide the joints are: some of a wide joint's
-# stations may lie at one edge and some at the other. They are asked with these shares of a slab's side, where
-# slabs are so many pixels wide, and believed if the joints are so many times as wide as thought. Beyond a
+# stations may lie at one edge and some at the other. They are believed if the joints are so many times as
+# wide as thought, and asked where slabs are so many pixels wide, with these shares of a slab's side. Beyond a
 # narrow joint a wide strip fits the tones of slabs at times, but not where its sides differ.
-SUSPECT, SHARES, SLABS_PX, CLEARLY_WIDER = (
-    0.15,
-    (0.08, 0.1, 0.125, 0.155, 0.19, 0.23, 0.28),
-    (24.0, 200.0),
-    1.5,
-)
+SUSPECT, CLEARLY_WIDER, SLABS_PX = 0.15, 1.5, (24.0, 200.0)
+SHARES = (0.08, 0.1, 0.125, 0.155, 0.19, 0.23, 0.28)
 # How far the profiles that tell it reach, in slab sides.
 REACH = 0.35
 
