@@ -21,7 +21,7 @@ from autoreg.fitting.one_edge import met_at_one_edge, with_both_edges
 from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight
-from autoreg.paving.corrections import MOST_SHIFTS, with_measured_shift
+from autoreg.paving.corrections import by_measured_shifts
 from autoreg.paving.inner_joints import inner_share
 from autoreg.paving.lattice_choice import Paving, line_evidence, of_joints_alone, presented
 from autoreg.paving.presence import presence_of
@@ -200,12 +200,7 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     halved = one_edged(met_at_one_edge(picture, fit))
     if halved is not None:
         raise halved
-    for _ in range(MOST_SHIFTS):
-        shifted = with_measured_shift(fit)
-        if shifted is None:
-            break
-        fit = measured(shifted)
-    return fit
+    return by_measured_shifts(fit, measured)[-1]
 
 
 def _with_lines(small: np.ndarray, fit: Fit) -> np.ndarray:
@@ -222,8 +217,10 @@ def _at_detection_scale(fit: Fit, small: np.ndarray, found: Paving) -> Fit:
     camera = fit.camera.scaled(small.shape[1], small.shape[0])
     looks, before = fit.strip.resized(small.shape[1] / fit.camera.width), found.fit.strip
     # Thin joints may not show there. Of wide ones that were met at one edge there, both show.
-    own, seen = (np.array([*strip.polarity]) for strip in (looks, before))
-    x, y = np.where(np.array(looks.width) > BOTH_EDGES * np.array(before.width), own, seen).tolist()
+    x, y = (
+        looks.polarity[k] if looks.width[k] > BOTH_EDGES * before.width[k] else before.polarity[k]
+        for k in (ALONG_X, ALONG_Y)
+    )
     return replace(fit, camera=camera, strip=replace(looks, blur_px=before.blur_px, polarity=(x, y)))
 
 

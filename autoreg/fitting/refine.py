@@ -162,11 +162,10 @@ def _round(
     if len(sides) < 6:
         return None
     side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
-    margin: float | np.ndarray = LEAST_MARGIN
-    if strip is not None:
-        # What crosses a side is of the other family.
-        crossing = np.where(sides.family == ALONG_X, strip.width[1] / side[0], strip.width[0] / side[1])
-        margin = np.maximum(LEAST_MARGIN, BESIDE_CROSSING + crossing)
+    # What crosses a side is of the other family.
+    x, y = (0.0, 0.0) if strip is None else strip.width
+    crossing = np.where(sides.family == ALONG_X, y / side[0], x / side[1])
+    margin = np.maximum(LEAST_MARGIN, BESIDE_CROSSING + crossing)
     stations = place_stations(sides, camera, pose, limit=limit, margin=margin)
     across = np.where(stations.family == ALONG_X, side[1], side[0])
     least = 10.0 if search else 7.0

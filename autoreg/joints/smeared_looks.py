@@ -36,11 +36,11 @@ def smear_px(
     found = [0.0, 0.0]
     for family in (ALONG_X, ALONG_Y):
         # What is wider looks no wider by any of these smears.
-        narrow = strip.width[family] * profiles.px_per_unit < NARROWEST_PX[-1]
-        rows = sample(usable & narrow & (stations.family == family), SAMPLE)
+        own_px = strip.width[family] * profiles.px_per_unit
+        rows = sample(usable & (own_px < NARROWEST_PX[-1]) & (stations.family == family), SAMPLE)
         if strip.polarity[family] == 0 or len(rows) < FEWEST:
             continue
-        parts_px = OWN_PARTS[:, None, None] * strip.width[family] * profiles.px_per_unit[rows]
+        parts_px = OWN_PARTS[:, None, None] * own_px[rows]
         narrowest_px = NARROWEST_PX[(NARROWEST_PX == 0.0) | (LEAST_BLURS * strip.blur_px < NARROWEST_PX)]
         tried = np.maximum(parts_px, narrowest_px[:, None]).reshape(-1, len(rows))
         # Slabs are to be seen on either side.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,18 @@ SHIFT_STEP, CUSTOMARY_STEP = 0.0003, 0.002
 # How often a fit is repeated by the shift that its joints tell: courses that are thought to move on by
 # another part of a slab than they do are lost some rows on.
 MOST_SHIFTS = 3
+
+
+def by_measured_shifts(fit: Fit, measured: Callable[[Fit], Fit | None]) -> list[Fit]:
+    """A fit and its repetitions, each measured anew by the shift that the joints of the one before tell."""
+    fits = [fit]
+    for _ in range(MOST_SHIFTS):
+        shifted = with_measured_shift(fits[-1])
+        again = None if shifted is None else measured(shifted)
+        if again is None:
+            break
+        fits.append(again)
+    return fits
 
 
 def with_measured_shift(fit: Fit) -> Fit | None:

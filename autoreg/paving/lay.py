@@ -21,7 +21,7 @@ from autoreg.ground.rectify import near_reach, rectify
 from autoreg.ground.sides import Grid, visible_sides
 from autoreg.ground.sight import Look, Looks
 from autoreg.paving.bond import BondHypothesis, bond_hypotheses
-from autoreg.paving.corrections import MOST_SHIFTS, with_measured_shift
+from autoreg.paving.corrections import by_measured_shifts
 from autoreg.paving.lattice_choice import Paving, hopeful, presented, settle_bond
 from autoreg.paving.multiples import divided, slabs_in_one, too_long
 from autoreg.paving.periods import Comb, best_combs
@@ -179,17 +179,11 @@ def _fitted(
     first = fit_outwards(picture, camera, cam_from_ground, grid, free, field)
     if first is None:
         return None
-    fit = best = first
-    for _ in range(MOST_SHIFTS):
-        shifted = with_measured_shift(fit)
-        if shifted is None:
-            break
-        again = fit_outwards(picture, shifted.camera, shifted.cam_from_ground, shifted.grid, free, field)
-        if again is None:
-            break
-        fit = again
-        if fit.missed <= best.missed:
-            best = fit
+    fits = by_measured_shifts(
+        first, lambda fit: fit_outwards(picture, fit.camera, fit.cam_from_ground, fit.grid, free, field)
+    )
+    # Of those that miss as little as each other the last one.
+    best = min(reversed(fits), key=lambda fit: fit.missed)
     return best if best.missed < FEWER * first.missed else first
 
 
