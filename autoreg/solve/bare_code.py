@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 # Releases of jaxlib whose insides are known.
-KNOWN_RELEASES = ("0.8.", "0.9.", "0.10.")
+KNOWN_RELEASES = ("0.8.", "0.9.", "0.10.", "0.11.", "0.12.")
 _LENGTH_BYTES = 8
 
 
