@@ -95,6 +95,25 @@ def test_joints_that_break_off_as_those_of_herringbone_are_told_from_worn_ones(f
         assert not broken(presence(rng.uniform(size=len(sides)) > worn), family)
 
 
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_whole_lines_that_break_off_in_turn_are_told_from_a_few_that_are_worn(family: int):
+    rng = np.random.default_rng(13)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 18.0))
+    sides = sides.take(rng.permutation(len(sides)))
+    thirds = (sides.family != family) | (sides.line % 3 != 1)
+    lines = np.unique(sides.line)
+
+    def presence(there: np.ndarray) -> Presence:
+        p = np.where(there, rng.beta(0.2, 1.2, len(sides)), rng.uniform(size=len(sides)))
+        return presence_with(sides, np.maximum(p, 1e-3))
+
+    assert broken(presence(thirds), family)
+    assert not broken(presence(thirds), ALONG_X + ALONG_Y - family)
+    for _ in range(20):
+        worn = rng.choice(lines, len(lines) // 4, replace=False)
+        assert not broken(presence((sides.family != family) | ~np.isin(sides.line, worn)), family)
+
+
 @pytest.mark.parametrize("worn", [0.0, 0.2])
 @pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
 def test_slabs_twice_as_long_are_told_from_worn_joints_wherever_their_courses_begin(family: int, worn: float):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int
+from jaxtyping import Float, Float32, Int
 
 from autoreg.ground.sides import ALONG_X
 from autoreg.paving.presence import MISSED, Presence
@@ -14,6 +14,9 @@ from autoreg.paving.presence import MISSED, Presence
 # worn, the absent ones stand out from the next by this many standard deviations: in 140 families of joints
 # of lattices that are none the less whole, by 2.0 at most.
 BROKEN_P, PRESENT_P, BREAK_SIGMAS = 0.35, 0.15, 3.0
+# A single line may be worn or covered as a whole: of lines, with so many sides, so many are asked for in
+# every class.
+FEWEST_SIDES, FEWEST_LINES = 4, 3
 # Joints stand out if they are stronger than what lies beside them so much more often than weaker, in so many
 # pairs at least. In lattices of true joints they are by 0.46 at most, where every second or third is by 0.7.
 STRONGER, FEWEST_PAIRS = 0.65, 16
@@ -148,7 +151,8 @@ def broken(presence: Presence, family: int) -> bool:
     """Whether the joints of a family break off at regular intervals, as those of herringbone do.
 
     The sides of one residue class, counted obliquely over the lattice, are then absent while all others are
-    there; no stack or running bond of whole slabs looks like that.
+    there; no stack or running bond of whole slabs looks like that. Whole lines that break off so are those of
+    courses of two widths in turn, or of the edges of joints as wide as half of their slabs.
     """
     near = presence.nearest(0.5)
     rows = np.flatnonzero(near.sides.family == family)
@@ -159,7 +163,7 @@ def broken(presence: Presence, family: int) -> bool:
     ends = near.sides.ends[rows][:, :, 0 if family == ALONG_X else 1]
     cell = np.floor(ends.mean(1) / np.median(np.ptp(ends, axis=1)) + 1e-6).astype(int)
     for m in (3, 4):
-        for q in range(1, m):
+        for q in range(m):
             residue = (line - cell * q) % m
             count = np.bincount(residue, minlength=m)
             if count.min() < 5:
@@ -168,6 +172,17 @@ def broken(presence: Presence, family: int) -> bool:
             scatter = np.sqrt(((p - mean[residue]) ** 2).sum() / max(len(p) - m, 1))
             second, last = np.argsort(mean)[-2:]
             beyond = BREAK_SIGMAS * scatter * np.sqrt(1 / count[last] + 1 / count[second])
-            if mean[last] > BROKEN_P and (mean[second] < PRESENT_P or mean[last] - mean[second] > beyond):
+            apart = mean[last] - mean[second]
+            absent = mean[last] > BROKEN_P and (mean[second] < PRESENT_P or apart > beyond)
+            if absent and (q > 0 or _whole_lines(line, p, m, int(last))):
                 return True
     return False
+
+
+def _whole_lines(line: Int[np.ndarray, " n"], p: Float[np.ndarray, " n"], period: int, phase: int) -> bool:
+    """Whether each line of a class is there less than any other, with enough of every class to tell."""
+    lines, of_line, count = np.unique(line, return_inverse=True, return_counts=True)
+    long = count >= FEWEST_SIDES
+    mean, residue = (np.bincount(of_line, weights=p) / count)[long], lines[long] % period
+    enough = np.bincount(residue, minlength=period).min() >= FEWEST_LINES
+    return bool(enough and mean[residue == phase].min() > mean[residue != phase].max())
