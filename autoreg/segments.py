@@ -11,6 +11,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from autoreg.faint_edges import faint_edges
+
+# Where LSD finds fewer segments than this, fainter ones are looked for.
+FEW = 150
 # LSD's bound on the gradient's error by quantisation, in grey levels, as published.
 LSD_GRADIENT_STEP = 2.0
 
@@ -61,6 +65,8 @@ class Segments:
 def detect_segments(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions | None = None) -> Segments:
     """Segments of a grey picture found by LSD on a short pyramid, duplicates between its levels removed.
 
+    Where it finds few, those that noise or grain hides from it are added (`faint_edges`).
+
     LSD: Grompone von Gioi et al., "LSD: a Line Segment Detector", IPOL 2012. It runs at its own scale 1.0 on
     levels that are reduced here, because its built-in reduction (scale 0.8) forgets the half pixel between
     pixel centres and corners and so moves every segment by (-0.12, -0.12) px.
@@ -92,14 +98,25 @@ def begin_detection(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
     The finest level takes longer than all others together, and LSD lets other threads run.
     """
     options = options or SegmentOptions()
-    finest, *coarser = _levels(gray, options)
+    levels = _levels(gray, options)
+    finest, *coarser = levels
     pool = ThreadPoolExecutor(1)
-    levels = [pool.submit(_detect_on_level, level, options) for level in coarser]
-    coarse = pool.submit(lambda: _joined([level.result() for level in levels], options))
-    fine = pool.submit(_detect_on_level, finest, options)
-    everything = pool.submit(lambda: _joined([fine.result(), *(level.result() for level in levels)], options))
+    rest = [pool.submit(_detect_on_level, level, options) for level in coarser]
+    coarse = pool.submit(lambda: _joined([level.result() for level in rest], options))
+    found = [pool.submit(_detect_on_level, finest, options), *rest]
+    everything = pool.submit(lambda: _with_faint([level.result() for level in found], levels, options))
     pool.shutdown(wait=False)
     return Detection(coarse, everything)
+
+
+def _with_faint(found: list[Segments], levels: list[_Level], options: SegmentOptions) -> Segments:
+    """The segments of all levels as one set, with those that noise hides from LSD where it finds few."""
+    by_lsd = _joined(found, options)
+    if len(by_lsd) >= FEW:
+        return by_lsd
+    return _joined(
+        [*found, *(_as_segments(faint_edges(level.gray), level, options) for level in levels)], options
+    )
 
 
 def _joined(levels: list[Segments], options: SegmentOptions) -> Segments:
@@ -145,7 +162,11 @@ def _detect_on_level(level: _Level, options: SegmentOptions) -> Segments:
     lines = cast("np.ndarray | None", detector.detect(level.gray)[0])
     if lines is None:
         return _empty()
-    ends = np.asarray(lines, float).reshape(-1, 2, 2)
+    return _as_segments(np.asarray(lines, float).reshape(-1, 2, 2), level, options)
+
+
+def _as_segments(ends: Float[np.ndarray, "n 2 2"], level: _Level, options: SegmentOptions) -> Segments:
+    """The segments of a level whose ends are these, in its pixels, but for the shortest."""
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     keep = length >= options.min_length_px
     ends, length = ends[keep], length[keep]

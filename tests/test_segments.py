@@ -80,7 +80,8 @@ def test_an_edge_that_all_levels_see_is_told_once():
     assert 0.8 * whole_px < told_px < 1.2 * whole_px
 
 
-def test_a_soft_edge_is_found_by_a_coarser_level():
+def test_a_soft_edge_is_found_by_a_coarser_level(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("autoreg.segments.FEW", 0)
     picture, _ = dark_bar(0.4, 0.0, 60.0, dark=150.0, bright=180.0, blur=4.0, noise=3.0)
     fine_only = detect_segments(picture, options=SegmentOptions(levels=1))
     assert long_ones(detect_segments(picture)).length_px.sum() > 2 * fine_only.length_px.sum() + 400

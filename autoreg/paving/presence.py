@@ -34,7 +34,7 @@ CONTROLS_WANTED, CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 1500, 48, 3
 # Slabs that look smaller than this tell nothing.
 LEAST_SIDE_PX = 8.0
 # How far a joint may lie from where it is predicted, and samples along each side.
-TOLERANCE_PX, ALONG_SAMPLES = 1.5, 10
+TOLERANCE_PX, ALONG_SAMPLES = 1.5, 40
 # How sharply the p-values of visible sides gather at zero, and shares of true sides that cannot be seen
 # (worn, overgrown, far, covered): the share that suits a photo best is taken.
 SHARPNESS = 0.2

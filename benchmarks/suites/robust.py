@@ -158,10 +158,14 @@ AXES = (
         "soft light", "grey levels", (0.0, 15.0, 30.0, 45.0, 60.0),
         spoil=lambda photo, depth, rng: replace(photo, gray=soft_light(photo.gray, depth, rng)),
     ),
+    Axis(
+        "noise on faint joints", "grey levels; joints 25 darker", (15, 30, 45, 60, 75),
+        lambda s, v: replace(s, noise_grey=v, joint_tone=s.slab_tone - 25.0),
+    ),
     Axis("distortion", "k1 (k2 its square)", (0.0, -0.1, -0.2, -0.3), _bent),
     Axis("bond", "shift", (0.0, 0.25, 1 / 3, 0.5), _bond),
     Axis("odd bond", "shift", (0.05, 0.1, 0.16, 0.31, 0.45, 0.52), _bond),
-    Axis("joint width", "mm", (2, 4, 8, 20, 40), lambda s, v: replace(s, joint_width_m=1e-3 * v)),
+    Axis("joint width", "mm", (2, 4, 8, 20, 40, 70), lambda s, v: replace(s, joint_width_m=1e-3 * v)),
     Axis("smear", "px", (0.0, 2.0, 4.0, 8.0, 12.0), spoil=_smeared),
     Axis("wrong focal length", "%", (0, 1, 3, 10, 20, 30), spoil=_wrong_camera),
 )  # fmt: skip
