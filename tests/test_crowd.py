@@ -99,7 +99,11 @@ def test_a_board_that_fills_a_small_part_of_the_picture_is_found_by_its_crowd():
     assert found.origin_in_a[2] == pytest.approx(HEIGHT, rel=2e-3)
 
 
-def test_the_right_camera_is_not_blamed_for_a_small_field_that_hardly_tells_the_focal_length():
+def test_the_right_camera_is_not_blamed_for_a_small_field_that_hardly_tells_the_focal_length(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    # With LSD's segments alone the focal length is told badly.
+    monkeypatch.setattr("autoreg.segments.FEW", 0)
     sight = see(small_board())
     found = find_paving(sight, CAMERA)
     assert isinstance(found, Paving)

@@ -17,7 +17,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS, customary_shift
 from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern, best_pattern, broken, outstanding, skipping, true_sides
-from autoreg.paving.presence import GROUND_COST, Presence, looked_at_closer, presence_of
+from autoreg.paving.presence import CLOSE_SAMPLES, GROUND_COST, Presence, looked_at_closer, presence_of
 from autoreg.solve.freedom import log_stretch
 
 # What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
@@ -238,6 +238,8 @@ def presented(
     paving = Paving(fit, presence, line_evidence(presence, fit.grid), within=within)
     if not NOTHING_NATS < paving.margin_nats < PLAIN_NATS:
         return paving
+    presence = presence_of(picture, fit, field=within, along_samples=CLOSE_SAMPLES)
+    paving = replace(paving, presence=presence, evidence_nats=line_evidence(presence, fit.grid))
     price = 0.5 * GROUND_COST
     closer = looked_at_closer(picture, fit, presence)
     x, y = _evidence_of(closer, fit.grid)

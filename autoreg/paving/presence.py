@@ -33,8 +33,9 @@ CONTROL_RANGE = (0.25, 0.75)
 CONTROLS_WANTED, CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 1500, 48, 3
 # Slabs that look smaller than this tell nothing.
 LEAST_SIDE_PX = 8.0
-# How far a joint may lie from where it is predicted, and samples along each side.
-TOLERANCE_PX, ALONG_SAMPLES = 1.5, 40
+# How far a joint may lie from where it is predicted, and samples along each side: so many do, but noise hides
+# joints that the second number shows.
+TOLERANCE_PX, ALONG_SAMPLES, CLOSE_SAMPLES = 1.5, 10, 40
 # How sharply the p-values of visible sides gather at zero, and shares of true sides that cannot be seen
 # (worn, overgrown, far, covered): the share that suits a photo best is taken.
 SHARPNESS = 0.2
@@ -174,6 +175,7 @@ def side_presence(
     only: int | None = None,
     field: Float[np.ndarray, "k 2"] | None = None,
     controls_wanted: int = CONTROLS_WANTED,
+    along_samples: int = ALONG_SAMPLES,
 ) -> Presence:
     """How well each visible side of a lattice is supported by the picture.
 
@@ -182,7 +184,9 @@ def side_presence(
     sides = visible_sides(
         camera, cam_from_ground, grid, min_px=LEAST_SIDE_PX, limit=limit, only=only, field=field
     )
-    return _presence_of_sides(picture, camera, cam_from_ground, grid, strip, sides, controls_wanted)
+    return _presence_of_sides(
+        picture, camera, cam_from_ground, grid, strip, sides, controls_wanted, along_samples
+    )
 
 
 def _presence_of_sides(
@@ -193,6 +197,7 @@ def _presence_of_sides(
     strip: Strip,
     sides: Sides,
     controls_wanted: int = CONTROLS_WANTED,
+    along_samples: int = ALONG_SAMPLES,
 ) -> Presence:
     n = len(sides)
     if n == 0:
@@ -200,7 +205,9 @@ def _presence_of_sides(
         return Presence(sides, none, none, none, none, np.zeros((0, 2)))
     controls = int(np.clip(np.ceil(controls_wanted / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
     shares = np.r_[0.0, np.linspace(*CONTROL_RANGE, controls)]
-    support, half_px, at_px = support_beside(picture, camera, cam_from_ground, grid, strip, sides, shares)
+    support, half_px, at_px = support_beside(
+        picture, camera, cam_from_ground, grid, strip, sides, shares, along_samples
+    )
     p = np.ones(n)
     for family in (ALONG_X, ALONG_Y):
         members = np.flatnonzero(sides.family == family)
@@ -221,6 +228,7 @@ def support_beside(
     strip: Strip,
     sides: Sides,
     shares: Float[np.ndarray, " k"],
+    along_samples: int = ALONG_SAMPLES,
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Support of places that lie so many shares of the spacing beside each side, the first of them on it.
 
@@ -238,7 +246,7 @@ def support_beside(
         cell=np.tile(sides.cell, repeat),
         side=np.tile(np.arange(n), repeat),
     )
-    profiles = sample_profiles(picture, camera, cam_from_ground, stations, 8.0, along_samples=ALONG_SAMPLES)
+    profiles = sample_profiles(picture, camera, cam_from_ground, stations, 8.0, along_samples=along_samples)
     width = np.array(strip.width)[stations.family] * profiles.px_per_unit
     # Between close joints the window must not reach the neighbours.
     room = 0.5 * across[stations.side] * profiles.px_per_unit
@@ -261,6 +269,7 @@ def presence_of(
     only: int | None = None,
     field: Float[np.ndarray, "k 2"] | None = None,
     controls_wanted: int = CONTROLS_WANTED,
+    along_samples: int = ALONG_SAMPLES,
 ) -> Presence:
     """How well each visible side of a fit's lattice is supported by the picture of its camera.
 
@@ -276,6 +285,7 @@ def presence_of(
         only=only,
         field=field,
         controls_wanted=controls_wanted,
+        along_samples=along_samples,
     )
 
 
@@ -287,7 +297,9 @@ def looked_at_closer(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Pres
     """
     box = _likeliest_box(presence.sides.middle, presence.llr_by_missed)
     sides = presence.sides.take(np.flatnonzero(box))
-    return _presence_of_sides(picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, sides)
+    return _presence_of_sides(
+        picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, sides, along_samples=CLOSE_SAMPLES
+    )
 
 
 def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
