@@ -114,9 +114,8 @@ def _with_faint(found: list[Segments], levels: list[_Level], options: SegmentOpt
     by_lsd = _joined(found, options)
     if len(by_lsd) >= FEW:
         return by_lsd
-    return _joined(
-        [*found, *(_as_segments(faint_edges(level.gray), level, options) for level in levels)], options
-    )
+    faint = [_as_segments(faint_edges(level.gray), level, options) for level in levels]
+    return _joined([by_lsd, *faint], options)
 
 
 def _joined(levels: list[Segments], options: SegmentOptions) -> Segments:
