@@ -12,7 +12,7 @@ from autoreg.errors import Refusal
 from autoreg.ground.sight import looks_at, see
 from autoreg.image import as_gray
 from autoreg.paving.plane_combs import PlaneCombs, comb_planes
-from autoreg.rows.rows import Rows, lay_rows
+from autoreg.rows.rows import Rows, gaps_in_turn, lay_rows
 from autoreg.search import find_paving
 from autoreg.segments import Segments, detect_segments
 from autoreg.synthetic import SyntheticPhoto
@@ -118,6 +118,25 @@ def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(
 def test_joints_that_break_off_regularly_are_herringbone_and_no_rows():
     rows, _, _ = rows_in(seen_from_the_camera(herringbone(0.3)))
     assert rows is None or rows.margin_nats < 0
+
+
+def pieces_of_faint_joints(gaps: bool, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Half slabs of joints hardly above the noise: piece, line and p-value; with herringbone's gaps, or not.
+
+    A gap of one slab hides one piece in eight, and a good part of the next.
+    """
+    rng = np.random.default_rng(seed)
+    line, piece = (axis.ravel() for axis in np.mgrid[0:12, 0:40])
+    p = rng.uniform(size=len(piece)) ** 6
+    place = (piece - 2 * line) % 8
+    hidden = (place == 6) | ((place == 7) & (rng.uniform(size=len(piece)) < 0.5))
+    return piece, line, np.where(gaps & hidden, rng.uniform(high=0.9, size=len(piece)), p)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_gaps_in_turn_are_told_from_joints_that_noise_hides_here_and_there(seed: int):
+    assert gaps_in_turn(*pieces_of_faint_joints(True, seed))
+    assert not gaps_in_turn(*pieces_of_faint_joints(False, seed))
 
 
 @pytest.fixture

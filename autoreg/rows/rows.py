@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
@@ -36,6 +36,9 @@ FEWEST_LINES = 6
 ABSENT_P, MOST_MISSING = 0.3, 0.1
 # Share of an unbroken joint that may be hidden or worn.
 MOST_GAPS = 0.3
+# A gap's pieces are absent beyond the others by so much, or by so many standard deviations: in rows by 4 at
+# most, in herringbone as faint as its noise by 7 and more.
+GAP_SIGMAS = 6.0
 # Half slabs from one gap of a joint to the next, in herringbone of slabs of two and of three squares.
 GAP_PERIODS = (4, 6, 8, 12)
 
@@ -129,15 +132,21 @@ def _interrupted(picture: Float[np.ndarray, "h w"], fit: Fit, field: Float[np.nd
     if len(rows) == 0:
         return False
     line, p = halves.sides.line[rows], halves.p[rows]
-    if np.mean(p > ABSENT_P) > MOST_GAPS:
-        return True
     piece = np.round(halves.sides.middle[rows, 0] / (across / 2.0) - 0.5).astype(int)
+    return bool(np.mean(p > ABSENT_P) > MOST_GAPS) or gaps_in_turn(piece, line, p)
+
+
+def gaps_in_turn(
+    piece: Int[np.ndarray, " n"], line: Int[np.ndarray, " n"], p: Float[np.ndarray, " n"]
+) -> bool:
+    """Whether the pieces of joints that are absent, by their p-values, advance evenly from line to line."""
     for period in GAP_PERIODS:
         for advance in range(period):
             residue = (piece - line * advance) % period
             count = np.bincount(residue, minlength=period)
             mean = np.bincount(residue, weights=p, minlength=period) / np.maximum(count, 1)
-            if mean[count >= 6].max(initial=0.0) > ABSENT_P + np.median(mean):
+            beyond = np.minimum(ABSENT_P, GAP_SIGMAS * p.std() / np.sqrt(np.maximum(count, 1)))
+            if np.any((count >= 6) & (mean > ABSENT_P) & (mean > np.median(mean) + beyond)):
                 return True
     return False
 
