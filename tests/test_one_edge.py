@@ -100,6 +100,16 @@ def test_the_profiles_of_a_fit_along_the_edges_show_how_wide_the_joints_are_and_
     assert crossing_px < 1.0
 
 
+def test_the_profiles_of_large_slabs_show_it_too(along_edges: Fit, photo: SyntheticPhoto):
+    size = (4 * SCENE.camera.width, 4 * SCENE.camera.height)
+    large = cv2.resize(gray_of(photo), size, interpolation=cv2.INTER_CUBIC)
+    seen = _as_seen(large, replace(along_edges, camera=SCENE.camera.scaled(*size)))
+    assert seen is not None
+    assert seen[0] == pytest.approx((JOINT, JOINT), rel=0.1)
+    _, crossing_px = misses(seen[1], (SIDE, SIDE), photo)
+    assert crossing_px < 1.0
+
+
 def in_raking_light() -> np.ndarray:
     """Slabs with narrow dark joints whose rims on one side are bright, and fade into the slab."""
     px, across = 120, np.arange(120)
@@ -129,6 +139,8 @@ def test_rims_that_the_sun_lights_on_one_side_are_no_wide_joints(monkeypatch: py
     assert max(one_edge(fit)) > 0.3
     monkeypatch.setattr("autoreg.fitting.one_edge.MOST", 0.3)
     assert met_at_one_edge(gray, fit) == 0.0
+    # Nor are they where one family's are twice as wide as the other's.
+    assert met_at_one_edge(gray, replace(fit, strip=replace(fit.strip, width=(0.02, 0.005)))) == 0.0
 
 
 def test_joints_met_at_one_edge_that_are_wider_than_thought_are_told(along_edges: Fit, photo: SyntheticPhoto):

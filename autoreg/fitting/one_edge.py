@@ -7,6 +7,9 @@ the tones of slabs differ either way.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -15,7 +18,7 @@ from autoreg.fitting.refine import WIDE_SEARCH, refine_until_still
 from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.sides import ALONG_X, ALONG_Y
-from autoreg.joints.joint_looks import Strip, first_look, projected_width_px, sample
+from autoreg.joints.joint_looks import BLURS, Strip, first_look, projected_width_px, sample
 from autoreg.joints.profiles import sample_profiles
 
 # Fewer stations than this do not tell it.
@@ -26,13 +29,15 @@ MOST = 0.4
 # Widths that are tried instead, in slab sides, and what is tried of a family that may have been drawn along.
 WIDER, DRAWN_ALONG = (0.1, 0.15), 0.25
 # Sides that differ by more give cause to ask the profiles how wide the joints are: some of a wide joint's
-# stations may lie at one edge and some at the other. They are believed if the joints are so many times as
-# wide as thought, and asked where slabs are so many pixels wide, with these shares of a slab's side. Beyond a
-# narrow joint a wide strip fits the tones of slabs at times, but not where its sides differ.
-SUSPECT, CLEARLY_WIDER, SLABS_PX = 0.15, 1.5, (24.0, 200.0)
+# stations may lie at one edge and some at the other. They are asked with these shares of a slab's side, where
+# slabs are so many pixels wide, and believed if the joints are one of them and so many times as wide as they
+# were thought. Beyond a narrow joint a wide strip fits the tones of slabs at times, but not where its sides
+# differ.
+SUSPECT, CLEARLY_WIDER, SLABS_PX = 0.15, 1.5, (24.0, 400.0)
 SHARES = (0.08, 0.1, 0.125, 0.155, 0.19, 0.23, 0.28)
-# How far the profiles that tell it reach, in slab sides.
-REACH = 0.35
+# How far the profiles that tell it reach, in slab sides. A picture of larger slabs is reduced until they are
+# about so many pixels wide: joints that are wide beside them remain so.
+REACH, REDUCED_PX = 0.35, 200.0
 
 
 def one_edge(fit: Fit) -> tuple[float, float]:
@@ -103,26 +108,36 @@ def met_at_one_edge(picture: Float[np.ndarray, "h w"], fit: Fit) -> float:
 
 def _wider(width: tuple[float, float], fit: Fit) -> bool:
     """Whether joints of such widths are clearly wider than a fit has them, of either family."""
-    return any(now > CLEARLY_WIDER * thought for now, thought in zip(width, fit.strip.width, strict=True))
+    sides = (fit.grid.spacing_y, fit.grid.spacing_x or fit.grid.spacing_y)
+    return any(
+        now > CLEARLY_WIDER * thought and now > 0.9 * SHARES[0] * side
+        for now, thought, side in zip(width, fit.strip.width, sides, strict=True)
+    )
 
 
 def _as_seen(picture: Float[np.ndarray, "h w"], fit: Fit) -> tuple[tuple[float, float], Rigid] | None:
     """How wide the joints are in profiles that reach far beyond, and the pose at which the fit's lie on them.
 
-    None where slabs are seen too small, or too large, to tell.
+    None where slabs of a size to tell are too few.
     """
-    grid, stations = fit.grid, fit.stations
+    grid, stations, camera, blur_px = fit.grid, fit.stations, fit.camera, fit.strip.blur_px
     side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
-    slab_px = projected_width_px(fit.camera, fit.cam_from_ground, stations, (side[1], side[0]))
+    slab_px = projected_width_px(camera, fit.cam_from_ground, stations, (side[1], side[0]))
+    reduced = max(1, round(float(np.median(slab_px)) / REDUCED_PX))
+    if reduced > 1:
+        size = (camera.width // reduced, camera.height // reduced)
+        picture, camera = cv2.resize(picture, size, interpolation=cv2.INTER_AREA), camera.scaled(*size)
+        slab_px, blur_px = slab_px / reduced, max(blur_px / reduced, BLURS[0])
     clear = (slab_px > SLABS_PX[0]) & (slab_px < SLABS_PX[1])
     if clear.sum() < FEWEST:
         return None
     rows = np.concatenate([sample(clear & (stations.family == family)) for family in (ALONG_X, ALONG_Y)])
     some, half = stations.take(rows), REACH * slab_px[rows]
-    profiles = sample_profiles(picture, fit.camera, fit.cam_from_ground, some, half)
+    profiles = sample_profiles(picture, camera, fit.cam_from_ground, some, half)
     own = (fit.strip.width[0] / side[1], fit.strip.width[1] / side[0])
     shares = tuple(sorted({*own, *SHARES}))
-    off_px, strip = first_look(profiles, some, fit.strip, side, WIDE_SEARCH * slab_px[rows], shares)
+    strip = replace(fit.strip, blur_px=blur_px)
+    off_px, strip = first_look(profiles, some, strip, side, WIDE_SEARCH * slab_px[rows], shares)
     off = off_px / profiles.px_per_unit
     y, x = (float(np.median(np.r_[0.0, off[some.family == family]])) for family in (ALONG_X, ALONG_Y))
     return strip.width, with_origin(fit.cam_from_ground, x, y)
