@@ -10,8 +10,9 @@ from paved import CHECKER, STACK, gray_of, misses, nudged, true_grid
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import refine
 from autoreg.ground.stations import Stations
-from autoreg.joints.edges import Offsets
-from autoreg.joints.joint_looks import Strip, bloom_px
+from autoreg.joints.edges import Offsets, fit_offsets
+from autoreg.joints.joint_looks import NO_JOINT, Strip, bloom_px, estimate_strip
+from autoreg.joints.profiles import sample_profiles
 from autoreg.slabs.uncertainty import settle
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto, render_paving
@@ -119,3 +120,29 @@ def test_a_picture_out_of_focus_is_not_taken_for_one_of_wide_joints():
     angle_deg, crossing_px = misses(settle(fit).fit.cam_from_ground, scene.spacing_m, photo)
     assert angle_deg < 0.06
     assert crossing_px < 0.1 * scene.blur_px
+
+
+@pytest.fixture(scope="module")
+def large_checker() -> SyntheticPhoto:
+    camera = CHECKER.camera.scaled(2 * CHECKER.camera.width, 2 * CHECKER.camera.height)
+    return render_paving(replace(CHECKER, camera=camera))
+
+
+@pytest.mark.parametrize("way", [-0.5, 0.5])
+def test_a_wide_strip_laid_beside_the_steps_of_a_checker_floor_is_given_up(
+    large_checker: SyntheticPhoto, checker_photo: SyntheticPhoto, way: float
+):
+    """It fits a step as well as can be, half its width aside: farther than the fit of a bare step gets."""
+    width_m, pose = 0.0387 * CHECKER.spacing_m[0], large_checker.cam_from_ground
+    beside = replace(pose, t=pose.t + way * width_m * (pose.R @ np.array([1.0, 1.0, 0.0])))
+    stations = fit_to(checker_photo).stations
+    profiles = sample_profiles(gray_of(large_checker), large_checker.camera, beside, stations, 16.0)
+    near = np.flatnonzero(width_m * profiles.px_per_unit > 6.5)
+    profiles, stations = profiles.take(near), stations.take(near)
+    assert np.bincount(stations.family).min() > 10
+    strip, side = Strip((width_m, width_m), 1.0), np.array(CHECKER.spacing_m)
+    offsets = fit_offsets(profiles, np.zeros(len(near)), width_m * profiles.px_per_unit, strip.blur_px)
+    seen = offsets.strength > 0.5
+    assert seen.mean() > 0.8
+    told = estimate_strip(profiles, offsets, stations, strip, seen, side, thorough=True)
+    assert told.width == pytest.approx((NO_JOINT * side[1], NO_JOINT * side[0]))

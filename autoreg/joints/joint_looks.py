@@ -245,9 +245,10 @@ def estimate_strip(
         if strip.polarity[family] == 0:
             # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
             # The two ideas are each given their own offsets and blur before they are compared.
-            ideas = (max(width[family], 0.015 * across), NO_JOINT * across)
+            edge_px = offset_px + _to_edge_px(offsets, rows, strip.width[family] * scale)
+            ideas = ((max(width[family], 0.015 * across), offset_px), (NO_JOINT * across, edge_px))
             some = profiles.take(rows)
-            misfits = [_idea_misfit(some, offset_px, idea, blur, shaded) for idea in ideas]
+            misfits = [_idea_misfit(some, start_px, idea, blur, shaded) for idea, start_px in ideas]
             gain = float(np.exp(misfits[1]) - np.exp(misfits[0]))
             if misfits[1] < misfits[0] + NO_JOINT_BONUS or gain < NO_JOINT_GAIN:
                 width[family] = NO_JOINT * across
@@ -263,6 +264,17 @@ def sample(mask: Bool[np.ndarray, " n"], most: int = SAMPLE) -> Int[np.ndarray, 
     """Index of at most so many of the stations that a mask selects, spread evenly over them."""
     rows = np.flatnonzero(mask)
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)] if len(rows) else rows
+
+
+def _to_edge_px(
+    offsets: Offsets, rows: Int[np.ndarray, " n"], width_px: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """How far the one edge of some stations lies off the middle of a strip that was laid beside it.
+
+    Zero where the strip's tone lies halfway between those of its slabs, half its width where it is one's.
+    """
+    depth, step = offsets.depth[rows], offsets.step[rows]
+    return -width_px * np.clip(depth / np.where(step == 0.0, np.inf, step), -0.5, 0.5)
 
 
 def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: float, shaded: bool) -> float:
