@@ -18,6 +18,7 @@ from autoreg.camera_files import read_camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
+from autoreg.paving.lattice_choice import Paving
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -142,6 +143,20 @@ def test_an_exif_that_a_crop_has_falsified_is_not_followed():
     assert found.camera.source == "photo"
     assert found.camera.camera.fx == pytest.approx(photo.camera.fx, rel=0.1)
     assert any("EXIF" in warning for warning in found.warnings)
+
+
+def test_who_tells_the_slab_tells_which_of_two_lattices_it_is(monkeypatch: pytest.MonkeyPatch):
+    photo = drawn("stack")
+
+    def every_other_row(_: np.ndarray, paving: Paving) -> Paving:
+        grid = paving.fit.grid
+        return replace(paving, fit=replace(paving.fit, grid=replace(grid, spacing_y=2.0 * grid.spacing_y)))
+
+    monkeypatch.setattr("autoreg.answer.full_resolution.of_joints_alone", every_other_row)
+    assert autoreg.align(photo.pixels, photo.camera, slab=STACK.spacing_m).lattice.kind == "stack"
+    with pytest.raises(Refusal, match="two lattices") as caught:
+        autoreg.align(photo.pixels, photo.camera)
+    assert caught.value.code == "ambiguous"
 
 
 def test_a_focal_length_from_the_joints_allows_for_the_unknown_principal_point():

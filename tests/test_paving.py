@@ -28,7 +28,7 @@ from autoreg.paving.lay import fills, lay_lattice, refine_in_field
 from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern
 from autoreg.paving.plane_combs import comb_planes
-from autoreg.paving.presence import field_polygon, presence_of
+from autoreg.paving.presence import ALONG_SAMPLES, CLOSE_SAMPLES, Presence, field_polygon, presence_of
 from autoreg.segments import detect_segments
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto
@@ -196,6 +196,26 @@ def test_a_lattice_within_which_another_one_s_sides_alone_are_joints_is_known_to
     else:
         assert alone is not None
         assert same_lattice(alone.fit, stack_fit)
+
+
+@pytest.mark.parametrize("worse", [ALONG_SAMPLES, CLOSE_SAMPLES])
+def test_an_unclear_lattice_is_judged_by_the_look_that_shows_it_better(
+    worse: int, stack_fit: Fit, stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
+):
+    gray, looks = gray_of(stack_photo), dict[int, Presence]()
+
+    def look(picture: np.ndarray, fit: Fit, *, along_samples: int = ALONG_SAMPLES, **options: object):
+        presence = presence_of(gray, fit, along_samples=along_samples)
+        dim = np.maximum(presence.p, 0.05) if along_samples == worse else presence.p
+        return looks.setdefault(along_samples, replace(presence, p=dim))
+
+    monkeypatch.setattr("autoreg.paving.lattice_choice.presence_of", look)
+    monkeypatch.setattr("autoreg.paving.lattice_choice.PLAIN_NATS", np.inf)
+    paving = presented(gray, stack_fit)
+    assert paving is not None
+    better = looks[ALONG_SAMPLES if worse == CLOSE_SAMPLES else CLOSE_SAMPLES]
+    assert len(looks) == 2
+    assert paving.presence is better
 
 
 def test_halves_of_a_slab_do_not_suit_it_though_they_have_its_shape(

@@ -17,6 +17,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
 from autoreg.joints.joint_looks import Strip
 from autoreg.paving.lattice_choice import line_evidence
 from autoreg.paving.presence import (
+    CLOSE_SAMPLES,
     GROUND_COST,
     Presence,
     field_polygon,
@@ -152,7 +153,7 @@ def terrace(low: tuple[float, float]) -> tuple[np.ndarray, Fit, np.ndarray]:
 def test_a_small_field_is_clearer_among_its_own_controls():
     picture, fit, paved = terrace((380.0, 300.0))
     presence = paving_presence(picture, fit)
-    closer = looked_at_closer(picture, fit, presence)
+    closer = looked_at_closer(picture, fit, presence, CLOSE_SAMPLES)
     assert len(closer.p) < 0.2 * len(presence.p)
     u, v = np.round(closer.at_px).astype(int).T
     rim = cv2.dilate(paved.astype(np.uint8), np.ones((9, 9))) > 0
@@ -167,7 +168,7 @@ def test_no_part_of_gravel_is_a_small_field(gravel_photo: SyntheticPhoto, stack_
     gray, gained = gray_of(gravel_photo), []
     for side in (0.2, 0.25, 0.3, 0.35, 0.4, 0.5):
         fit = replace(stack_fit, grid=Grid(side, 0.8 * side))
-        closer = looked_at_closer(gray, fit, paving_presence(gray, fit))
+        closer = looked_at_closer(gray, fit, paving_presence(gray, fit), CLOSE_SAMPLES)
         gained.append(sum(line_evidence(closer, fit.grid)) - GROUND_COST)
     assert max(gained) < 4.0
     assert np.median(gained) < 0.0

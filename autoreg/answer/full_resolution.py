@@ -23,7 +23,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight
 from autoreg.paving.corrections import by_measured_shifts
 from autoreg.paving.inner_joints import inner_share
-from autoreg.paving.lattice_choice import Paving, line_evidence, of_joints_alone, presented
+from autoreg.paving.lattice_choice import Paving, has_ratio, line_evidence, of_joints_alone, presented
 from autoreg.paving.presence import presence_of
 from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
@@ -118,7 +118,8 @@ def measured_slabs(
     if settled is None or settled.margin_nats < 0:
         raise no_lattice(settled, None)
     coarser = of_joints_alone(small, settled)
-    if coarser is not None:
+    # Who tells the slab has told which of the two it is, unless both have its shape.
+    if coarser is not None and (slab is None or has_ratio(coarser.grid, slab)):
         raise ambiguous(settled, coarser)
     full = filled(inner_share(sight.segments, fit, settled.presence.field))
     if full is not None:

@@ -33,8 +33,8 @@ LEAST_SLOPE, LEAST_MEDIAN_SLOPE, LEAST_BLURS = 0.15, 0.3, 2.0
 # How high the light reaches, in widths, and the wall's tones against the slabs' that are tried; at first the
 # pairs of these numbers.
 HEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4)
-WALLS = (0.9, 0.95, 1.0, 1.03, 1.06, 1.12, 1.18, 1.25, 1.4)
-AT_FIRST = ((0, 1), (0, 5), (2, 2), (5, 1))
+WALLS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0, 1.03, 1.06, 1.12, 1.18, 1.25, 1.4)
+AT_FIRST = ((0, 2), (0, 6), (0, 10), (2, 7), (5, 6))
 # So many joints tell both, at least and at most.
 FEWEST, SAMPLE = 12, 60
 # Places that are tried, from where a strip of one tone was found: as far as this share of the width and so

@@ -289,7 +289,9 @@ def presence_of(
     )
 
 
-def looked_at_closer(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence) -> Presence:
+def looked_at_closer(
+    picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence, along_samples: int
+) -> Presence:
     """The sides in the box of the ground that is likeliest to be paved, held against places in it alone.
 
     Where paving fills a small part of a photo, few of its sides get few controls each, and most of these lie
@@ -298,7 +300,7 @@ def looked_at_closer(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Pres
     box = _likeliest_box(presence.sides.middle, presence.llr_by_missed)
     sides = presence.sides.take(np.flatnonzero(box))
     return _presence_of_sides(
-        picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, sides, along_samples=CLOSE_SAMPLES
+        picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, sides, along_samples=along_samples
     )
 
 
