@@ -3,10 +3,10 @@
 Such a joint has three parts in the picture: from the near slab's rim on its bed, and what of the wall is in
 shadow; then the wall in the light, as light as the slabs or lighter; then the far slab. A strip of one tone
 takes the dark part for the whole joint, and lies nearer by as much as the wall takes up; by more than half a
-joint where the wall is the lighter one. The near rim is seen in any case, and the joint's middle lies half a
-width beyond it. A strip of three parts measures that, once all joints that are seen from one side have told
-how high the light reaches and how light the wall is. The width it cannot tell: it is that of the joints which
-show more of themselves.
+joint where the wall is the lighter one. A wall in the shade that is lighter than the bed does less of the
+same. The near rim is seen in any case, and the joint's middle lies half a width beyond it. A strip of three
+parts measures that, once all joints that are seen from one side have told how high the light reaches and how
+light the wall is. The width it cannot tell: it is that of the joints which show more of themselves.
 """
 
 from __future__ import annotations
