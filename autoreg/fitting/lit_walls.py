@@ -30,11 +30,11 @@ from autoreg.joints.strips import INDEPENDENT, edge, single
 # Joints seen from above, below this slope, show their beds whole, and say little where half are below the
 # other; those in fewer blurs show no parts.
 LEAST_SLOPE, LEAST_MEDIAN_SLOPE, LEAST_BLURS = 0.15, 0.3, 2.0
-# How high the light reaches, in widths, and the wall's tones against the slabs' that are tried; at first the
-# pairs of these numbers.
+# How high the light reaches, in widths, and the wall's tones against the slabs' that are tried; at first
+# these pairs of them.
 HEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4)
 WALLS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0, 1.03, 1.06, 1.12, 1.18, 1.25, 1.4)
-AT_FIRST = ((0, 2), (0, 6), (0, 10), (2, 7), (5, 6))
+AT_FIRST = ((0.5, 0.6), (0.5, 0.95), (0.5, 1.12), (0.7, 1.0), (1.0, 0.95))
 # So many joints tell both, at least and at most.
 FEWEST, SAMPLE = 12, 60
 # Places that are tried, from where a strip of one tone was found: as far as this share of the width and so
@@ -214,7 +214,7 @@ def _likeliest_looks(
             return np.inf
         return float(values @ _fitted(side, width, HEIGHTS[height], WALLS[wall])[0])
 
-    best = min(AT_FIRST, key=of_three_parts)
+    best = min(((HEIGHTS.index(h), WALLS.index(w)) for h, w in AT_FIRST), key=of_three_parts)
     likeliest, *others = dict.fromkeys(plain_widths)
     plain = of_one_tone(likeliest)
     # Other widths could only make one tone likelier.

@@ -86,10 +86,9 @@ def with_both_edges(
         met = one_edge(fit)
         if max(met) <= MOST:
             break
-        sides = (fit.grid.spacing_y, fit.grid.spacing_x or fit.grid.spacing_y)
         x, y = (
             share * side if edge > DRAWN_ALONG else width
-            for edge, side, width in zip(met, sides, fit.strip.width, strict=True)
+            for edge, side, width in zip(met, fit.grid.slab_size[::-1], fit.strip.width, strict=True)
         )
         fit = as_wide_as((x, y), fit.cam_from_ground)
     return fit
@@ -108,10 +107,9 @@ def met_at_one_edge(picture: Float[np.ndarray, "h w"], fit: Fit) -> float:
 
 def _wider(width: tuple[float, float], fit: Fit) -> bool:
     """Whether joints of such widths are clearly wider than a fit has them, of either family."""
-    sides = (fit.grid.spacing_y, fit.grid.spacing_x or fit.grid.spacing_y)
     return any(
         now > CLEARLY_WIDER * thought and now > 0.9 * SHARES[0] * side
-        for now, thought, side in zip(width, fit.strip.width, sides, strict=True)
+        for now, thought, side in zip(width, fit.strip.width, fit.grid.slab_size[::-1], strict=True)
     )
 
 
@@ -120,23 +118,22 @@ def _as_seen(picture: Float[np.ndarray, "h w"], fit: Fit) -> tuple[tuple[float, 
 
     None where slabs of a size to tell are too few.
     """
-    grid, stations, camera, blur_px = fit.grid, fit.stations, fit.camera, fit.strip.blur_px
-    side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
+    stations, camera, strip, side = fit.stations, fit.camera, fit.strip, np.array(fit.grid.slab_size)
     slab_px = projected_width_px(camera, fit.cam_from_ground, stations, (side[1], side[0]))
     reduced = max(1, round(float(np.median(slab_px)) / REDUCED_PX))
     if reduced > 1:
         size = (camera.width // reduced, camera.height // reduced)
         picture, camera = cv2.resize(picture, size, interpolation=cv2.INTER_AREA), camera.scaled(*size)
-        slab_px, blur_px = slab_px / reduced, max(blur_px / reduced, BLURS[0])
+        slab_px = slab_px / reduced
+        strip = replace(strip.resized(1.0 / reduced), blur_px=max(strip.blur_px / reduced, BLURS[0]))
     clear = (slab_px > SLABS_PX[0]) & (slab_px < SLABS_PX[1])
     if clear.sum() < FEWEST:
         return None
     rows = np.concatenate([sample(clear & (stations.family == family)) for family in (ALONG_X, ALONG_Y)])
     some, half = stations.take(rows), REACH * slab_px[rows]
     profiles = sample_profiles(picture, camera, fit.cam_from_ground, some, half)
-    own = (fit.strip.width[0] / side[1], fit.strip.width[1] / side[0])
+    own = (strip.width[0] / side[1], strip.width[1] / side[0])
     shares = tuple(sorted({*own, *SHARES}))
-    strip = replace(fit.strip, blur_px=blur_px)
     off_px, strip = first_look(profiles, some, strip, side, WIDE_SEARCH * slab_px[rows], shares)
     off = off_px / profiles.px_per_unit
     y, x = (float(np.median(np.r_[0.0, off[some.family == family]])) for family in (ALONG_X, ALONG_Y))

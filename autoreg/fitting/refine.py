@@ -161,7 +161,7 @@ def _round(
     sides = visible_sides(camera, pose, grid, reach=reach, field=field)
     if len(sides) < 6:
         return None
-    side = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y])
+    side = np.array(grid.slab_size)
     # What crosses a side is of the other family.
     x, y = (0.0, 0.0) if strip is None else strip.width
     crossing = np.where(sides.family == ALONG_X, y / side[0], x / side[1])
@@ -242,7 +242,7 @@ def _round(
 def _plausible(pose: Rigid, grid: Grid) -> bool:
     """Whether a lattice may be one of slabs: a solve with nothing to hold it can run away."""
     height = float(pose.origin_in_a[2])
-    sides = np.array([grid.spacing_x or grid.spacing_y, grid.spacing_y]) / height
+    sides = np.array(grid.slab_size) / height
     return bool(height > 0 and (sides > 1.0 / MOST_SIDES).all() and (sides < MOST_SIDES).all())
 
 

@@ -27,9 +27,15 @@ class Grid:
     shift: float = 0.0
 
     @property
+    def slab_size(self) -> tuple[float, float]:
+        """A slab's sides along X and along Y; those of rows are taken for squares."""
+        return self.spacing_x or self.spacing_y, self.spacing_y
+
+    @property
     def slab_side(self) -> float:
-        """Geometric mean of a slab's sides; those of rows are taken for squares."""
-        return float(np.sqrt((self.spacing_x or self.spacing_y) * self.spacing_y))
+        """Geometric mean of a slab's sides."""
+        a, b = self.slab_size
+        return float(np.sqrt(a * b))
 
     @property
     def odd_bond(self) -> bool:
@@ -173,7 +179,7 @@ def _slab_px(
 ) -> Float[np.ndarray, " n"]:
     """The shorter side of a slab at each ground point, in pixels."""
     here = project_ground(camera, cam_from_ground, points)
-    steps = np.diag([grid.spacing_x or grid.spacing_y, grid.spacing_y])
+    steps = np.diag(grid.slab_size)
     sides = [lengths(project_ground(camera, cam_from_ground, points + step) - here) for step in steps]
     # Where a slab's end is behind the camera the slab is near, and so large.
     return np.nan_to_num(np.minimum(*sides), nan=np.inf)

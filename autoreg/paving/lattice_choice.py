@@ -242,19 +242,19 @@ def presented(
     presence = presence or presence_of(picture, fit, field=within)
     if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
         return None
-    paving, samples = Paving(fit, presence, line_evidence(presence, fit.grid), within=within), ALONG_SAMPLES
+    paving = Paving(fit, presence, line_evidence(presence, fit.grid), within=within)
     if not NOTHING_NATS < paving.margin_nats < PLAIN_NATS:
         return paving
     # Noise hides joints that more samples show; where slabs are uneven, these show no more.
     presence = presence_of(picture, fit, field=within, along_samples=CLOSE_SAMPLES)
     thorough = replace(paving, presence=presence, evidence_nats=line_evidence(presence, fit.grid))
-    if thorough.margin_nats > paving.margin_nats:
-        paving, samples = thorough, CLOSE_SAMPLES
+    better = max(paving, thorough, key=lambda p: p.margin_nats)
+    samples = CLOSE_SAMPLES if better is thorough else ALONG_SAMPLES
     price = 0.5 * GROUND_COST
-    closer = looked_at_closer(picture, fit, paving.presence, samples)
+    closer = looked_at_closer(picture, fit, better.presence, samples)
     x, y = _evidence_of(closer, fit.grid)
-    alone = replace(paving, evidence_nats=(x - price, y - price), closer=closer)
-    return max(paving, alone, key=lambda p: p.margin_nats)
+    alone = replace(better, evidence_nats=(x - price, y - price), closer=closer)
+    return max(better, alone, key=lambda p: p.margin_nats)
 
 
 def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:

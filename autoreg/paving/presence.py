@@ -234,7 +234,7 @@ def support_beside(
 
     With half the measured length of the sides in pixels, and where their middles are.
     """
-    across = np.array([grid.spacing_y, grid.spacing_x or grid.spacing_y])[sides.family]
+    across = np.array(grid.slab_size[::-1])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
     middle, half = sides.middle, 0.4 * lengths(sides.ends[:, 1] - sides.ends[:, 0])
     n, repeat = len(sides), len(shares)

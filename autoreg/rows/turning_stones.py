@@ -154,7 +154,7 @@ def _off(
     slabs. Those around the field, within a `margin` of so many of its sizes, count as well.
     """
     middle = ground.mean(1)
-    side = (fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y)[family]
+    side = fit.grid.slab_size[family]
     length = np.linalg.norm(ground[:, 1] - ground[:, 0], axis=1) / side
     off = off_angle(ground[..., ::-1]) if family == ALONG_X else -off_angle(ground)
     own = inside_box(middle, field, margin) & (length > SHORTEST) & (length < longest)

@@ -60,7 +60,7 @@ class MeasuredJoints:
     def shared(self) -> tuple[Int[np.ndarray, " n"], ...]:
         """Numbers of what middles have in common: the line, and the field of one slab's size."""
         grid, stations = self.fit.grid, self.fit.stations.take(self.rows)
-        cell = np.floor(stations.ground / [grid.spacing_x or grid.spacing_y, grid.spacing_y])
+        cell = np.floor(stations.ground / grid.slab_size)
         return numbered(stations.family, stations.line)[0], numbered(*cell.T)[0]
 
     @cached_property

@@ -187,7 +187,7 @@ def _sizes_of(scatter: Scatter, side: float) -> Sizes:
 
 def _in_blocks(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
     """Some of the stations, in whole blocks of slabs spread over the ground: neighbours tell the scatter."""
-    size = BLOCK_SLABS * np.array([fit.grid.spacing_x or fit.grid.spacing_y, fit.grid.spacing_y])
+    size = BLOCK_SLABS * np.array(fit.grid.slab_size)
     block = np.floor(fit.stations.ground[rows] / size).astype(int)
     member, first = numbered(*block.T)
     names, count = block[first], np.bincount(member)
