@@ -127,22 +127,24 @@ def fit_offsets(
     profiles: Profiles,
     start_px: Float[np.ndarray, " n"],
     width_px: Float[np.ndarray, " n"],
-    blur: float,
+    blur: float | Float[np.ndarray, " n"],
     *,
     iterations: int = 6,
 ) -> Offsets:
     """Least-squares offset of each strip (variable projection: tones are linear, the offset is not).
 
-    Only the joint and its shoulders are looked at, from where the fit starts.
+    Only the joint and its shoulders are looked at, from where the fit starts. All share a blur, or each has
+    its own.
     """
     columns = np.empty((5, len(start_px)))
     for rows, window in batches(profiles, start_px, width_px, blur):
-        columns[:, rows] = _fitted(window, start_px[rows], width_px[rows], blur, iterations)
+        own = blur[rows] if isinstance(blur, np.ndarray) else blur
+        columns[:, rows] = _fitted(window, start_px[rows], width_px[rows], own, iterations)
     return Offsets(*columns)
 
 
 def _fitted(
-    window: Window, start: np.ndarray, width: np.ndarray, blur: float, iterations: int
+    window: Window, start: np.ndarray, width: np.ndarray, blur: float | np.ndarray, iterations: int
 ) -> tuple[np.ndarray, ...]:
     """Offset, its sigma, depth, step and strength of some profiles."""
     at, values, weight = window
@@ -224,7 +226,7 @@ def strip_misfits(
         np.tile(profiles.values[rows], (k, 1)),
         np.tile(inside, (k, 1)),
         single(width_px.ravel()),
-        np.repeat(single(blur), n)[:, None],
+        np.repeat(blur, n),
         shading=single(profiles.at_px) if shaded else None,
     )
     strip.at(single(profiles.at_px) - single(np.broadcast_to(offset_px, (k, n)).reshape(-1, 1)))

@@ -34,6 +34,8 @@ MOST_NEUTRAL = 0.05
 # A strip has one tone more than a step to fit noise with, of about ten independent values: what that buys, in
 # mean log variance; and the part of the variance that it must explain, lest it only bend a step's shape.
 NO_JOINT_BONUS, NO_JOINT_GAIN = 0.1, 0.01
+# By how much wider a blur is tried with either idea.
+WIDER_BLURS = np.array([1.0, 1.3, 1.7])
 # Edges up and down that tell how far bright tiles bloom: so many of either, and such a share of a family's.
 LEAST_KIND, KIND_SHARE = 8, 0.2
 # Profiles are shaded where a slope of light lowers their mean log variance by more than this: noise alone
@@ -246,9 +248,9 @@ def estimate_strip(
             # Tiles may meet without a joint: a width would then let the edge sit at either of its sides.
             # The two ideas are each given their own offsets and blur before they are compared.
             edge_px = offset_px + _to_edge_px(offsets, rows, strip.width[family] * scale)
-            ideas = ((max(width[family], 0.015 * across), offset_px), (NO_JOINT * across, edge_px))
-            some = profiles.take(rows)
-            misfits = [_idea_misfit(some, start_px, idea, blur, shaded) for idea, start_px in ideas]
+            ideas = np.array([max(width[family], 0.015 * across), NO_JOINT * across])
+            starts = np.stack([offset_px, edge_px])
+            misfits = _idea_misfits(profiles.take(rows), starts, ideas, blur, shaded)
             gain = float(np.exp(misfits[1]) - np.exp(misfits[0]))
             if misfits[1] < misfits[0] + NO_JOINT_BONUS or gain < NO_JOINT_GAIN:
                 width[family] = NO_JOINT * across
@@ -277,16 +279,24 @@ def _to_edge_px(
     return -width_px * np.clip(depth / np.where(step == 0.0, np.inf, step), -0.5, 0.5)
 
 
-def _idea_misfit(profiles: Profiles, start_px: np.ndarray, width: float, blur: float, shaded: bool) -> float:
-    """Misfit of a joint width with the blur that suits it best: a blurred step is like a narrow strip."""
-    width_px, rows = width * profiles.px_per_unit, np.arange(len(start_px))
-    misfits: list[float] = []
-    for wider in (1.0, 1.3, 1.7):
-        own = fit_offsets(profiles, start_px, width_px, wider * blur, iterations=4)
-        blurs = np.array([wider * blur])
-        left = strip_misfits(profiles, rows, own.offset_px, width_px[None], blurs, shaded=shaded)
-        misfits.append(float(left[0]))
-    return min(misfits)
+def _idea_misfits(
+    profiles: Profiles,
+    start_px: Float[np.ndarray, "k n"],
+    width: Float[np.ndarray, " k"],
+    blur: float,
+    shaded: bool,
+) -> Float[np.ndarray, " k"]:
+    """Misfit of each joint width with the blur that suits it best: a blurred step is like a narrow strip."""
+    (k, n), b = start_px.shape, len(WIDER_BLURS)
+    blurs = np.tile(blur * WIDER_BLURS, k)
+    width_px = np.repeat(width[:, None] * profiles.px_per_unit, b, axis=0)
+    # All at once: the arrays are small, and each operation on them has its price.
+    every = profiles.take(np.tile(np.arange(n), k * b))
+    starts, widths = np.repeat(start_px, b, axis=0), width_px.ravel()
+    own = fit_offsets(every, starts.ravel(), widths, np.repeat(blurs, n), iterations=4)
+    offset_px = own.offset_px.reshape(k * b, n)
+    misfits = strip_misfits(profiles, np.arange(n), offset_px, width_px, blurs, shaded=shaded)
+    return misfits.reshape(k, b).min(1)
 
 
 def _likeliest(

@@ -33,7 +33,10 @@ class Window(NamedTuple):
 
 
 def batches(
-    profiles: Profiles, start_px: Float[np.ndarray, " n"], width_px: Float[np.ndarray, " n"], blur: float
+    profiles: Profiles,
+    start_px: Float[np.ndarray, " n"],
+    width_px: Float[np.ndarray, " n"],
+    blur: float | Float[np.ndarray, " n"],
 ) -> Iterator[tuple[np.ndarray, Window]]:
     """Rows of profiles that are fitted together, and what is looked at: each joint and its shoulders."""
     reach = 0.5 * width_px + 3.0 * blur + 1.5
@@ -83,6 +86,11 @@ def single(values: np.ndarray) -> Float32[np.ndarray, "*n"]:
     return np.asarray(values, np.float32)
 
 
+def _column(values: float | np.ndarray) -> np.ndarray:
+    """One value for all profiles as it is, one for each as a column."""
+    return np.asarray(values)[..., None] if np.ndim(values) else np.asarray(values)
+
+
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Sum of products along each profile."""
     return np.einsum("np,np->n", a, b)
@@ -102,7 +110,7 @@ class StripModel:
         blur: float | np.ndarray,
         shading: np.ndarray | None = None,
     ) -> None:
-        self.weight, self.half, self.blur = weight, 0.5 * width[:, None], single(np.asarray(blur))
+        self.weight, self.half, self.blur = weight, 0.5 * width[:, None], single(_column(blur))
         self.samples = weight.sum(1, keepdims=True)
         self.shading = None
         if shading is not None:
@@ -111,10 +119,11 @@ class StripModel:
         self.values = self._centred(values)
 
     def of(self, rows: Int[np.ndarray, " k"]) -> StripModel:
-        """The model on some of the profiles, for a blur that all of them share."""
+        """The model on some of the profiles."""
         some = copy(self)
         some.weight, some.half, some.samples = self.weight[rows], self.half[rows], self.samples[rows]
         some.values = self.values[rows]
+        some.blur = self.blur[rows] if self.blur.ndim else self.blur
         some.shading = None if self.shading is None else self.shading[rows]
         return some
 
