@@ -62,7 +62,8 @@ def rested(
     """A fit from its likeliest pose brought to its last one.
 
     Where the slabs lie so evenly that the picture's grey levels can tell no difference, these tell the pose,
-    unless the joints' widths, or their looks, tell that they are sunk.
+    unless the joints' widths, or their looks, tell that they are sunk. Where nothing tells whether they are,
+    it is no surer than that of sunk ones.
     """
     fit = settled.fit
     if fit.grid.spacing_x is None:
@@ -76,9 +77,16 @@ def rested(
     # Joints that may be sunk a little may be off as much as sunk ones.
     together = slab_effects.TOGETHER if settled.scatter.relief > 0 else photometric.TOGETHER
     exact = photometric.on_grey_levels(picture, fit, settled.covariance, reach, field, together)
-    if exact is None or exact.lopsided > LOPSIDED:
+    if exact is None:
+        return settled
+    likely, most = exact.lopsided
+    if likely > LOPSIDED:
         return settled
     # Of a large picture's pixels a few are looked at, and the measured places may know more.
     if np.linalg.slogdet(exact.plain)[1] > np.linalg.slogdet(settled.covariance)[1]:
         return replace(settled, covariance=settled.covariance + exact.doubted)
-    return replace(settled, fit=exact.fit, covariance=exact.covariance)
+    covariance = exact.covariance
+    if most > LOPSIDED:
+        # In noise, or where joints are narrower than the blur, flat ones cannot be told from sunk ones.
+        covariance = covariance + settled.covariance + np.outer(exact.away, exact.away)
+    return replace(settled, fit=exact.fit, covariance=covariance)

@@ -63,8 +63,8 @@ SPARE_CELLS = 4
 NARROWEST, WIDEST = 0.1, 3.0
 # A pose that is so unlikely by the joints' measured places is none.
 CONTRADICTION = 1e-4
-# What joints' halves differ by counts as far as it exceeds so many of its standard deviations.
-SURELY = 3.0
+# What joints' halves differ by at most: so many standard deviations more than they most likely do.
+AT_MOST = 2.0
 # A side takes part if this share of its stations does.
 USABLE_SHARE = 0.5
 # What the joints of a family may lie off by together, in widths, as ray-traced prints do: walls a tenth of a
@@ -91,13 +91,15 @@ class Photometric:
     """A fit at the pose of the grey levels, its covariance on the camera's side, and what it rests on.
 
     `plain` is the covariance if joints look just as they are drawn, `doubted` what is added as they may not.
-    `lopsided` is by how much the joints' far and near halves differ at least, as a share of their contrast.
+    `away` is the motion on the camera's side from the fit that was given. `lopsided` is by how much the
+    joints' far and near halves differ most likely and at most, as a share of their contrast.
     """
 
     fit: Fit
     plain: Float[np.ndarray, "6 6"]
     doubted: Float[np.ndarray, "6 6"]
-    lopsided: float
+    away: Float[np.ndarray, "6"]
+    lopsided: tuple[float, float]
     noise_grey: float
     design_effect: float
     pixels: int
@@ -195,8 +197,7 @@ def _judged(
     if effect > MOST_DESIGN_EFFECT:
         return None
     plain, doubted = answer.plain[:6, :6], answer.added[:6, :6]
-    turn, shift = _motion(fit, state.shape)[:3], state.shape.pose.t - fit.cam_from_ground.t
-    away = np.r_[turn, shift]
+    away = _away(fit, state.shape)
     if away @ np.linalg.solve(covariance + plain + doubted, away) > chdtri(6, CONTRADICTION):
         return None
     step = np.zeros(UNKNOWNS)
@@ -210,15 +211,24 @@ def _judged(
         cam_from_ground=shape.pose,
         strip=replace(fit.strip, width=shape.width),
     )
-    return Photometric(moved, plain, doubted, _lopsided(last, answer), state.noise, effect, len(pixels))
+    lopsided = _lopsided(last, answer)
+    return Photometric(moved, plain, doubted, _away(fit, shape), lopsided, state.noise, effect, len(pixels))
 
 
-def _lopsided(last: Step, answer: Averaged) -> float:
-    """By how much the joints' far and near halves differ at least, as a share of their contrast."""
+def _away(fit: Fit, shape: Shape) -> Float[np.ndarray, "6"]:
+    """The motion on the camera's side from a fit's pose to that of a shape."""
+    return np.r_[_motion(fit, shape)[terms.ROTATION], shape.pose.t - fit.cam_from_ground.t]
+
+
+def _lopsided(last: Step, answer: Averaged) -> tuple[float, float]:
+    """By how much the joints' halves differ most likely and at most, as a share of their contrast.
+
+    Most likely not at all where that is likelier than any other size.
+    """
     halves, tone = list(HALVES.columns), last.state.tones.mean(0)
-    differ = np.abs(answer.step[len(last.normal.free) :][halves]) - SURELY * answer.sigma[halves]
-    contrast = abs(float(tone[:JOINT].mean() - tone[JOINT]))
-    return max(float(differ.max()), 0.0) / max(contrast, 1.0)
+    differ, sigma = np.abs(answer.step[len(last.normal.free) :][halves]), answer.sigma[halves]
+    contrast = max(abs(float(tone[:JOINT].mean() - tone[JOINT])), 1.0)
+    return float(differ.max()) / contrast, float((differ + AT_MOST * sigma).max()) / contrast
 
 
 def _averaged(last: Step, together: float) -> tuple[Averaged, float]:
