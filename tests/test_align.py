@@ -112,6 +112,7 @@ def test_the_same_photo_gives_the_same_answer_twice():
     assert len(once.joints) == len(again.joints)
 
 
+@pytest.mark.slow
 def test_a_board_in_a_room_is_found_and_its_rim_is_no_joint():
     pose = look_at_ground(pitch_deg=50.0, height_m=4.5, heading_deg=20.0, foot_m=(0.13, 0.21))
     photo = render_paving(replace(CHECKER, cam_from_ground=pose))
@@ -137,6 +138,7 @@ def test_without_a_camera_the_photos_own_joints_tell_its_focal_length():
     assert angle_deg < 1.5
 
 
+@pytest.mark.slow
 def test_an_exif_that_a_crop_has_falsified_is_not_followed():
     photo = drawn("stack")
     found = autoreg.align(photo.pixels, None, exif_focal_px=0.6 * photo.camera.fx)
@@ -205,6 +207,7 @@ def test_wide_joints_are_not_taken_by_one_edge():
     assert crossing_px < 0.2
 
 
+@pytest.mark.slow
 def test_a_skew_stack_seen_through_a_wrong_camera_is_no_running_bond():
     photo = seen_from_aside(37.0, 0.01, 1)
     wrong = Camera.from_focal(1024, 768, 0.8 * 896.0)

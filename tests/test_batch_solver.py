@@ -27,7 +27,8 @@ def test_a_batch_solves_what_the_single_solver_solves():
 def test_wild_joints_and_far_starts_end_in_the_same_minimum_in_fewer_steps():
     far = Start(0.03, 0.1)
     problems = [problem(seed, n=120, noise_px=SIGMA_PX, outliers=0.4, start=far) for seed in range(8)]
-    batch, alone = solve_batch(problems, FREE), [solve_joints(data, FREE) for data in problems]
+    batch = [one for k in range(0, 8, 2) for one in solve_batch(problems[k : k + 2], FREE)]
+    alone = [solve_joints(data, FREE) for data in problems]
     for data, one, other in zip(problems, batch, alone, strict=True):
         assert one.outcome == other.outcome == "converged"
         assert sigmas_apart(data, one.jacobian, one.parameters - other.parameters) < 0.01

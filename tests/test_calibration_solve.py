@@ -201,6 +201,7 @@ def test_the_chosen_lens_model_has_every_term_that_the_lens_has(dist, needed):
     assert min(lacking) > 1.1 * found.score_px
 
 
+@pytest.mark.slow
 def test_k_is_as_far_off_as_stated_once_a_lens_model_is_chosen():
     """Terms too weak to show must not be left out: their loss is in no covariance."""
     camera = Camera(W, H, 1000.0, 1003.0, 655.0, 468.0, (-0.2, 0.05, 1e-4, -1e-4, 0.0))
@@ -316,7 +317,14 @@ def test_two_cameras_are_told_apart_view_by_view(other, nonsense):
     assert abs(found.cameras[1].state.intrinsics[0] / other.fx - 1) < 0.005
 
 
-@pytest.mark.parametrize("kind", ["clean", "bent", "focusing", "moving sensor"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "clean",
+        "bent",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("focusing", "moving sensor")),
+    ],
+)
 def test_one_camera_is_never_taken_for_two(kind):
     for seed in range(3):
         assert mixture_of(restless_views(CAMERA, 14, kind, seed)) is None

@@ -105,7 +105,10 @@ def test_jax_stands_in_where_jaxlib_is_not_as_it_was(kept, broken):
     assert in_a_process(bare.parent, first) == ["jax", solved]
 
 
-@pytest.mark.parametrize("spoil", ["changed", "missing", "open to others"])
+@pytest.mark.parametrize(
+    "spoil",
+    ["changed", *(pytest.param(how, marks=pytest.mark.slow) for how in ("missing", "open to others"))],
+)
 def test_a_form_that_cannot_be_trusted_is_not_run(kept, spoil):
     bare, own, solved = kept
     for path, told in ((bare, "jax"), (own, "compiled")):

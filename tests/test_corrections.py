@@ -51,6 +51,7 @@ def test_a_shift_that_may_be_a_customary_one_is_taken_for_it(half_fit: Fit, thou
     assert measured.grid.shift == told
 
 
+@pytest.mark.slow
 def test_what_is_known_of_the_camera_holds_it_while_the_shift_is_measured():
     # The joints alone leave a free camera open: their linear equations would turn it by tens of degrees.
     photo = render_paving(replace(HALF_BOND, spacing_m=(0.4, 0.25), shift=0.36))
@@ -89,6 +90,7 @@ def test_the_likeliest_pose_of_an_odd_bond_is_found_together_with_its_shift():
     assert moved[along] == pytest.approx(fit.stations.cell[along] * (settled.fit.grid.shift - 0.4508) * a)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth_m", [0.0, 0.004])
 def test_the_pose_of_an_odd_bond_is_as_sure_as_it_says(depth_m: float):
     scene = replace(HALF_BOND, spacing_m=(0.4, 0.25), shift=0.1, joint_depth_m=depth_m, seed=3)
@@ -105,7 +107,7 @@ def test_the_pose_of_an_odd_bond_is_as_sure_as_it_says(depth_m: float):
 @pytest.mark.parametrize(
     ("shift", "slab", "pose", "seed"),
     [
-        (0.3105, (0.4, 0.25), (21.6, 1.49, 66.9, -3.1, (0.8, 0.67)), 37),
+        pytest.param(0.3105, (0.4, 0.25), (21.6, 1.49, 66.9, -3.1, (0.8, 0.67)), 37, marks=pytest.mark.slow),
         (0.5173, (0.6, 0.2), (37.5, 1.67, 92.3, -2.4, (0.56, 0.8)), 73),
     ],
 )

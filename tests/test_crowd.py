@@ -112,6 +112,7 @@ def test_the_right_camera_is_not_blamed_for_a_small_field_that_hardly_tells_the_
     assert other_camera(sight, CAMERA, found) is None
 
 
+@pytest.mark.slow
 def test_a_small_field_stays_as_it_is_where_a_finer_lattice_that_was_tried_is_less_clear(
     monkeypatch: pytest.MonkeyPatch,
 ):

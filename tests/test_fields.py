@@ -62,6 +62,7 @@ BRICKS = replace(
 FEW = replace(BRICKS, spacing_m=(0.6, 0.6), shift=0.0, joint_width_m=0.014, slab_tone=185.0, seed=4)
 
 
+@pytest.mark.slow
 def test_few_slabs_that_were_asked_for_are_found_beside_bricks():
     found = align(beside(BRICKS, FEW, 1.2), STEEP, slab=(0.6, 0.6))
     assert found.lattice.kind == "stack"
@@ -146,6 +147,7 @@ def test_a_field_on_another_plane_is_none_of_this_ground(others: list[Paving | N
     assert others[0] is not None
 
 
+@pytest.mark.slow
 def test_of_two_fields_that_with_the_known_slabs_is_taken() -> None:
     sight, found = found_in(beside(replace(NEAR, spacing_m=(0.15, 0.1)), FAR, 2.4))
     assert largest_field(sight, found, CAMERA, (0.15, 0.1)) is found
@@ -180,6 +182,7 @@ def test_beside_a_field_without_edges_nothing_is_looked_for(others: list[Paving 
     assert not others
 
 
+@pytest.mark.slow
 def test_a_part_of_the_same_lattice_is_no_other_field_by_a_wrong_camera(others: list[Paving | None]) -> None:
     # By the wrong camera the lattice does not go on as itself.
     scene = replace(NEAR, cam_from_ground=look_at_ground(pitch_deg=30.0, height_m=1.7, heading_deg=70.0))

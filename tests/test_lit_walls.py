@@ -30,7 +30,9 @@ LIT = replace(
 )
 
 
-@pytest.mark.parametrize("elevation_deg", [25.0, 30.0, 35.0])
+@pytest.mark.parametrize(
+    "elevation_deg", [25.0, *(pytest.param(deg, marks=pytest.mark.slow) for deg in (30.0, 35.0))]
+)
 def test_joints_lie_half_a_width_beyond_the_near_rim_whatever_the_wall_looks_like(elevation_deg: float):
     scene = replace(LIT, sun_elevation_rad=np.deg2rad(elevation_deg))
     fit = fit_of(scene, WIDTH, DARK, REACH)
@@ -41,7 +43,7 @@ def test_joints_lie_half_a_width_beyond_the_near_rim_whatever_the_wall_looks_lik
     assert np.allclose(measured.distances_px - fit.distances_px, -moved)
 
 
-@pytest.mark.parametrize("elevation_deg", [25.0, 35.0])
+@pytest.mark.parametrize("elevation_deg", [25.0, pytest.param(35.0, marks=pytest.mark.slow)])
 def test_near_joints_that_are_dark_count_although_the_farther_ones_look_light(elevation_deg: float):
     scene = replace(LIT, sun_elevation_rad=np.deg2rad(elevation_deg))
     fit = fit_of(scene, WIDTH, (1, -1), REACH)

@@ -147,6 +147,7 @@ def test_joints_met_at_one_edge_that_are_wider_than_thought_are_told(along_edges
     assert met_at_one_edge(gray_of(photo), along_edges) == max(one_edge(along_edges))
 
 
+@pytest.mark.slow
 def test_what_crosses_wide_joints_does_not_bias_uneven_slabs():
     """Stations keep off the crossings by more, the wider these are."""
     pose = look_at_ground(pitch_deg=53.0, height_m=1.0, heading_deg=8.0, roll_deg=1.3, foot_m=(0.13, 0.21))

@@ -360,7 +360,7 @@ def test_seventeen_crossings_of_even_slabs_are_enough() -> None:
         assert off @ np.linalg.solve(last.covariance, off) < chi2.ppf(0.999, 6)
 
 
-@pytest.mark.parametrize("scene", [PLAIN, BOND, LENS])
+@pytest.mark.parametrize("scene", [PLAIN, *(pytest.param(s, marks=pytest.mark.slow) for s in (BOND, LENS))])
 def test_grey_levels_know_the_pose_better_than_measured_places(scene: SyntheticScene) -> None:
     seeds = range(8)
     off = [crossings_off_px(scene, answered(scene, s).fit.cam_from_ground) for s in seeds]

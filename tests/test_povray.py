@@ -317,6 +317,7 @@ def test_povrays_lens_blurs_as_wide_as_a_real_one(window, tmp_path):
     assert width[::-1] == pytest.approx([expected, expected * CAMERA.fy / CAMERA.fx], rel=0.08)
 
 
+@pytest.mark.slow
 @needs_povray
 def test_a_shadow_out_of_focus_is_as_soft_as_povray_traces_it(tmp_path):
     ball = Object("ball", Sphere(0.15), OnSlab(0, -2))
@@ -364,6 +365,7 @@ def test_progress_rises_to_the_end_and_the_working_folder_is_taken_away(tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @needs_povray
 def test_two_renders_in_one_folder_do_not_collide(tmp_path):
     plan, window, answers = plan_for(), Window(200, 150, 200, 150), []

@@ -136,6 +136,7 @@ def test_a_slab_that_lies_higher_is_seen_farther_away_by_its_height_times_the_sl
         assert ends[1][-1] - ends[0][-1] == pytest.approx(0.001 * slope, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_turn_of_the_slabs_slants_each_piece_of_a_joint_about_its_middle():
     turn, spread = 0.004, []
     for seed in range(4):
@@ -167,7 +168,9 @@ def test_a_relief_that_cannot_be_drawn_is_rejected_by_name(change: dict[str, flo
 
 
 @pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed")
-@pytest.mark.parametrize("azimuth_deg", [0.0, 60.0, 150.0])
+@pytest.mark.parametrize(
+    "azimuth_deg", [0.0, *(pytest.param(deg, marks=pytest.mark.slow) for deg in (60.0, 150.0))]
+)
 def test_sunk_joints_look_as_povray_traces_them(azimuth_deg: float, monkeypatch: pytest.MonkeyPatch):
     # Its ambient light is the same everywhere, also on walls.
     monkeypatch.setattr("autoreg.synthetic.relief._open", lambda top, bottom, width: np.ones_like(bottom))

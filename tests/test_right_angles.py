@@ -228,6 +228,7 @@ def test_the_true_focal_length_is_found_from_any_that_is_about_right(factor: flo
     assert abs(same) < 0.5 * found.sigma_log_focal
 
 
+@pytest.mark.slow
 def test_the_stated_uncertainty_is_that_of_the_errors():
     focal, turn = [], []
     random = np.random.default_rng(5)
@@ -256,6 +257,7 @@ def test_unbroken_joints_alone_lead_nowhere():
     assert square(ASLANT, segments_of(ASLANT).take(np.arange(5)), 1.0) is None
 
 
+@pytest.mark.slow
 def test_an_aligned_photo_of_rows_carries_the_uncertainty_of_its_focal_length():
     found = align(photo_of(ASLANT).pixels, None, slab=(0.3, 0.3))
     assert found.lattice.kind == "rows"

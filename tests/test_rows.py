@@ -146,6 +146,7 @@ def a_lattice_comes_first(stack_photo: SyntheticPhoto, monkeypatch: pytest.Monke
     monkeypatch.setattr("autoreg.align.find_paving", lambda *_, **__: other)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("a_lattice_comes_first")
 def test_what_is_no_lattice_at_full_resolution_may_be_rows():
     alignment = align(seen_from_the_camera(ashlar(0.3)), CAMERA, camera_height=1.6)
@@ -155,6 +156,7 @@ def test_what_is_no_lattice_at_full_resolution_may_be_rows():
     assert np.rad2deg(np.arccos(np.clip(up @ true_up, -1, 1))) < 0.2
 
 
+@pytest.mark.slow
 def test_rows_that_do_no_better_than_chance_by_the_camera_they_lead_to_are_refused(
     monkeypatch: pytest.MonkeyPatch,
 ):

@@ -96,6 +96,7 @@ def test_coarser_segments_are_there_before_those_of_all_levels():
     assert 0 in everything.level
 
 
+@pytest.mark.slow
 def test_the_stated_noise_of_the_ends_is_that_of_the_edges():
     pulls = []
     for k in range(24):

@@ -10,6 +10,7 @@ from autoreg.errors import Refusal
 from autoreg.rows.slab_lengths import longer_than_wide
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lengths", [(1.2, 2.4), (0.45, 0.85)])
 def test_the_lengths_of_its_slabs_tell_which_side_of_a_slab_is_the_width_of_a_row(
     lengths: tuple[float, float],

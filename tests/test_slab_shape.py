@@ -74,6 +74,7 @@ def test_the_same_shape_asks_for_the_same_camera() -> None:
     assert pose.t == pytest.approx(1.3 * ASLANT.cam_from_ground.t)
 
 
+@pytest.mark.slow
 def test_a_slab_tells_the_focal_length_of_a_photo_taken_squarely() -> None:
     found = align(picture(aslant=False), None, slab=(0.6, 0.3))
     assert found.camera.camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
@@ -83,6 +84,7 @@ def test_a_slab_tells_the_focal_length_of_a_photo_taken_squarely() -> None:
     assert found.warnings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("heading_deg", "right"), [(2.0, -14.0), (3.0, 16.0)])
 def test_a_slab_tells_a_lens_out_of_the_middle_of_a_photo_taken_almost_squarely(
     heading_deg: float, right: float

@@ -230,6 +230,7 @@ def drawn(slabs: Slabs, camera: Camera, pose: Rigid, rng: np.random.Generator) -
     return np.clip(grey, 0, 255).astype(np.uint8)
 
 
+@pytest.mark.slow
 def test_a_strip_along_the_crowns_of_fans_is_refused():
     seed = 13
     rng = np.random.default_rng(seed)

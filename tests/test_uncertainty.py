@@ -84,6 +84,7 @@ def rotation_errors(jitter_m: float, seeds: range) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_the_truth_lies_within_the_stated_uncertainty_of_irregular_paving() -> None:
     errors = rotation_errors(0.002, range(6))
     # Chi-square of 3 degrees of freedom: 99.9 % lie below 16.3; a tenfold overstatement shows below 0.05.
@@ -127,6 +128,7 @@ def pose_error(settled: Settled) -> float:
     return float(error @ np.linalg.solve(settled.covariance, error))
 
 
+@pytest.mark.slow
 def test_the_truth_lies_within_the_stated_uncertainty_of_uneven_courses() -> None:
     found = [pose_error(settle(fitted(0.0005, seed, course_jitter_m=0.002))) for seed in range(8)]
     # Chi-square of 6 degrees of freedom: 99.9 % lie below 22.5, half of them below 5.3.

@@ -11,6 +11,9 @@ from autoreg.synthetic.paint import Ground
 from autoreg.synthetic.poses import ground_points
 from autoreg.synthetic.scene import SyntheticPhoto, SyntheticScene
 
+# So many samples are asked for at a time: what a processor's cache holds of all that is worked out for them.
+AT_ONCE = 16384
+
 Grid = Float[np.ndarray, "h w"]
 Samples = Float[np.ndarray, " n"]
 
@@ -84,7 +87,13 @@ def _sample(
     tones = np.full(x.shape, scene.sky_tone)
     gx, gy = x[seen], y[seen]
     wx, wy = width_x[seen] / scene.samples, width_y[seen] / scene.samples
-    tones[seen] = things.over(ground.tone(gx, gy, wx, wy) * ground.texture(gx, gy, wx + wy), gx, gy)
+    shown = np.empty(len(gx))
+    for first in range(0, len(gx), AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        place, footprint = (gx[some], gy[some]), (wx[some], wy[some])
+        tone = ground.tone(*place, *footprint) * ground.texture(*place, footprint[0] + footprint[1])
+        shown[some] = things.over(tone, *place)
+    tones[seen] = shown
     return tones
 
 
