@@ -91,6 +91,7 @@ def test_one_photo_and_no_photo_are_refused(photos, tmp_path):
         calibrate_views(views(CAMERA, 2), BOARD, W, H)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_px", [0.0, 0.1, 0.5])
 def test_views_parallel_to_the_sensor_give_no_number(noise_px):
     seen = views(CAMERA, 10, noise_px=noise_px, most_tilt_deg=0.2)

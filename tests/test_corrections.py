@@ -104,10 +104,11 @@ def test_the_pose_of_an_odd_bond_is_as_sure_as_it_says(depth_m: float):
 
 
 # Taken for a third, and for a half as every second course suggests, the farther courses are lost.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shift", "slab", "pose", "seed"),
     [
-        pytest.param(0.3105, (0.4, 0.25), (21.6, 1.49, 66.9, -3.1, (0.8, 0.67)), 37, marks=pytest.mark.slow),
+        (0.3105, (0.4, 0.25), (21.6, 1.49, 66.9, -3.1, (0.8, 0.67)), 37),
         (0.5173, (0.6, 0.2), (37.5, 1.67, 92.3, -2.4, (0.56, 0.8)), 73),
     ],
 )

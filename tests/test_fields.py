@@ -114,7 +114,12 @@ def test_the_plainest_field_is_the_near_one(two_fields: np.ndarray) -> None:
 
 @pytest.mark.parametrize(
     ("camera", "far", "border_m"),
-    [(CAMERA, FAR, 2.4), (CAMERA, ASKEW, 3.0), (PORTRAIT, ASKEW, 2.6), (LENS, ASKEW, 3.0)],
+    [
+        (CAMERA, FAR, 2.4),
+        (CAMERA, ASKEW, 3.0),
+        pytest.param(PORTRAIT, ASKEW, 2.6, marks=pytest.mark.slow),
+        pytest.param(LENS, ASKEW, 3.0, marks=pytest.mark.slow),
+    ],
     ids=["in line", "askew", "portrait", "lens"],
 )
 def test_the_larger_field_beyond_it_is_taken(camera: Camera, far: SyntheticScene, border_m: float) -> None:
@@ -127,6 +132,7 @@ def test_the_larger_field_beyond_it_is_taken(camera: Camera, far: SyntheticScene
     assert turn_deg(largest, far) < 0.2
 
 
+@pytest.mark.slow
 def test_fine_slabs_are_no_smaller_field_for_being_seen_less_far(others: list[Paving | None]) -> None:
     # Bricks on the left of the border, slabs on the right, as far as the picture shows them.
     pose = look_at_ground(pitch_deg=32.0, height_m=1.7, heading_deg=12.0, foot_m=(0.1, 0.23))

@@ -593,8 +593,8 @@ def test_joints_that_noise_hides_the_relief_of_are_as_unsure_as_sunk_ones(
     settled = likeliest(photo_of(scene, 1), fitted(scene, 1))
     drawn = on_grey_levels(photo_of(scene, 1), settled.fit, settled.covariance, REACH)
     assert drawn is not None
-    likely, most = drawn.lopsided
-    assert likely < LOPSIDED < most
+    least, most = drawn.lopsided
+    assert least < LOPSIDED < most
     # The truth is outside of what is stated where joints are as they are drawn.
     assert squares_of(scene, drawn) > chi2.ppf(0.95, 6)
     last = rested(photo_of(scene, 1), settled, REACH)

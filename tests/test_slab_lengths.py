@@ -23,6 +23,7 @@ def test_the_lengths_of_its_slabs_tell_which_side_of_a_slab_is_the_width_of_a_ro
     assert float(alignment.pose.cam_from_ground.origin_in_a[2]) == pytest.approx(1.6, rel=0.01)
 
 
+@pytest.mark.slow
 def test_slabs_of_which_half_are_longer_than_wide_tell_nothing():
     photo = seen_from_the_camera(ashlar(0.3, (0.5, 1.5)))
     with pytest.raises(Refusal, match="width of a row") as refused:

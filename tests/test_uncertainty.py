@@ -148,6 +148,7 @@ def set_out_askew(fit: Fit, rng: np.random.Generator, size_m: float) -> Fit:
     return fit
 
 
+@pytest.mark.slow
 def test_the_truth_lies_within_the_stated_uncertainty_of_courses_that_are_set_out_askew() -> None:
     rng, found = np.random.default_rng(3), []
     for seed in range(8):

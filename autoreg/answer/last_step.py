@@ -79,8 +79,8 @@ def rested(
     exact = photometric.on_grey_levels(picture, fit, settled.covariance, reach, field, together)
     if exact is None:
         return settled
-    likely, most = exact.lopsided
-    if likely > LOPSIDED:
+    least, most = exact.lopsided
+    if least > LOPSIDED:
         return settled
     # Of a large picture's pixels a few are looked at, and the measured places may know more.
     if np.linalg.slogdet(exact.plain)[1] > np.linalg.slogdet(settled.covariance)[1]:

@@ -63,8 +63,8 @@ SPARE_CELLS = 4
 NARROWEST, WIDEST = 0.1, 3.0
 # A pose that is so unlikely by the joints' measured places is none.
 CONTRADICTION = 1e-4
-# What joints' halves differ by at most: so many standard deviations more than they most likely do.
-AT_MOST = 2.0
+# What joints' halves differ by at least and at most: so many standard deviations less and more.
+AT_LEAST, AT_MOST = 3.0, 2.0
 # A side takes part if this share of its stations does.
 USABLE_SHARE = 0.5
 # What the joints of a family may lie off by together, in widths, as ray-traced prints do: walls a tenth of a
@@ -92,7 +92,7 @@ class Photometric:
 
     `plain` is the covariance if joints look just as they are drawn, `doubted` what is added as they may not.
     `away` is the motion on the camera's side from the fit that was given. `lopsided` is by how much the
-    joints' far and near halves differ most likely and at most, as a share of their contrast.
+    joints' far and near halves differ at least and at most, as a share of their contrast.
     """
 
     fit: Fit
@@ -221,14 +221,12 @@ def _away(fit: Fit, shape: Shape) -> Float[np.ndarray, "6"]:
 
 
 def _lopsided(last: Step, answer: Averaged) -> tuple[float, float]:
-    """By how much the joints' halves differ most likely and at most, as a share of their contrast.
-
-    Most likely not at all where that is likelier than any other size.
-    """
+    """By how much the joints' halves differ at least and at most, as a share of their contrast."""
     halves, tone = list(HALVES.columns), last.state.tones.mean(0)
     differ, sigma = np.abs(answer.step[len(last.normal.free) :][halves]), answer.sigma[halves]
     contrast = max(abs(float(tone[:JOINT].mean() - tone[JOINT])), 1.0)
-    return float(differ.max()) / contrast, float((differ + AT_MOST * sigma).max()) / contrast
+    least, most = float((differ - AT_LEAST * sigma).max()), float((differ + AT_MOST * sigma).max())
+    return max(least, 0.0) / contrast, most / contrast
 
 
 def _averaged(last: Step, together: float) -> tuple[Averaged, float]:
