@@ -136,15 +136,14 @@ def fit_offsets(
     Only the joint and its shoulders are looked at, from where the fit starts. All share a blur, or each has
     its own.
     """
-    columns = np.empty((5, len(start_px)))
+    columns, each = np.empty((5, len(start_px))), np.broadcast_to(blur, start_px.shape)
     for rows, window in batches(profiles, start_px, width_px, blur):
-        own = blur[rows] if isinstance(blur, np.ndarray) else blur
-        columns[:, rows] = _fitted(window, start_px[rows], width_px[rows], own, iterations)
+        columns[:, rows] = _fitted(window, start_px[rows], width_px[rows], each[rows], iterations)
     return Offsets(*columns)
 
 
 def _fitted(
-    window: Window, start: np.ndarray, width: np.ndarray, blur: float | np.ndarray, iterations: int
+    window: Window, start: np.ndarray, width: np.ndarray, blur: np.ndarray, iterations: int
 ) -> tuple[np.ndarray, ...]:
     """Offset, its sigma, depth, step and strength of some profiles."""
     at, values, weight = window

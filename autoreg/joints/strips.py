@@ -86,11 +86,6 @@ def single(values: np.ndarray) -> Float32[np.ndarray, "*n"]:
     return np.asarray(values, np.float32)
 
 
-def _column(values: float | np.ndarray) -> np.ndarray:
-    """One value for all profiles as it is, one for each as a column."""
-    return np.asarray(values)[..., None] if np.ndim(values) else np.asarray(values)
-
-
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Sum of products along each profile."""
     return np.einsum("np,np->n", a, b)
@@ -110,7 +105,8 @@ class StripModel:
         blur: float | np.ndarray,
         shading: np.ndarray | None = None,
     ) -> None:
-        self.weight, self.half, self.blur = weight, 0.5 * width[:, None], single(_column(blur))
+        self.weight, self.half = weight, 0.5 * width[:, None]
+        self.blur = single(np.broadcast_to(blur, width.shape))[:, None]
         self.samples = weight.sum(1, keepdims=True)
         self.shading = None
         if shading is not None:
@@ -122,8 +118,7 @@ class StripModel:
         """The model on some of the profiles."""
         some = copy(self)
         some.weight, some.half, some.samples = self.weight[rows], self.half[rows], self.samples[rows]
-        some.values = self.values[rows]
-        some.blur = self.blur[rows] if self.blur.ndim else self.blur
+        some.values, some.blur = self.values[rows], self.blur[rows]
         some.shading = None if self.shading is None else self.shading[rows]
         return some
 

@@ -59,11 +59,12 @@ FEWEST_SEEN, UNEVEN_SHARE, CLEAR_SIGMAS = 10, 0.02, 3.0
 WIDTH_SIGMA, BLUR_PX = 0.1, 0.15
 
 
-def slab_effects(joints: MeasuredJoints, a: float, b: float, side: float) -> tuple[csr_matrix, ...]:
+def slab_effects(joints: MeasuredJoints) -> tuple[csr_matrix, ...]:
     """Pixels by which its two slabs change each measurement, per unit of their places, heights and turns.
 
-    Every slab moves its own edge of the joint. Turns are in units of one over `side`.
+    Every slab moves its own edge of the joint. Turns are in units of one over a slab's side.
     """
+    (a, b), side = joints.fit.grid.slab_size, joints.fit.grid.slab_side
     fit, wide, n = joints.fit, joints.wide, len(joints.rows)
     stations = fit.stations.take(joints.rows)
     along_x = stations.family == ALONG_X

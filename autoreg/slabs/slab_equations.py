@@ -82,8 +82,7 @@ class SlabEquations:
         self.unit = 1.0 / np.maximum(np.linalg.norm(J, axis=0), 1e-12)
         mean, sigma = np.r_[prior.mean, 0.0][free], np.r_[prior.sigma, np.inf][free]
         self.known, self.prior_mean = (self.unit / sigma) ** 2, mean / self.unit
-        a, b = fit.grid.slab_size
-        effects = slab_effects(joints, a, b, fit.grid.slab_side)
+        effects = slab_effects(joints)
         # Which of the three sizes columns of Z are scaled by.
         kinds = [k for k in range(3) if sizes is None or k == 0 or sizes[k] > 0]
         Z: Any = hstack([effects[k] for k in kinds]).tocsc()

@@ -25,6 +25,8 @@ WIDTHS_M, DEPTHS_M = (0.008, 0.014), (0.003, 0.008)
 LIFT, SLAB_TURN_DEG = 0.5, 0.05
 # A sun that is worth taking photos by, and the sky's share of the light, from a clear day to a hazy one.
 ELEVATIONS_DEG, SKY_LIGHT = (25.0, 65.0), (0.3, 0.6)
+# Grey levels of the noise of plain photos, and of those taken in little light.
+PLAIN_GREY, NOISY_GREY = (1.0, 3.0), (10.0, 30.0)
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,9 @@ class Regime:
     side_m: float
     sunk: bool = True
     course_m: float = 0.0
-    noise_grey: tuple[float, float] = (1.0, 3.0)
+    noise_grey: tuple[float, float] = PLAIN_GREY
 
 
-NOISY_GREY = (10.0, 30.0)
 REGIMES = (
     Regime("even, many", 0.0, 0.3),
     Regime("even, few", 0.0, 1.0),
