@@ -11,7 +11,8 @@ from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import refine
 from autoreg.ground.stations import Stations
 from autoreg.joints.edges import Offsets, fit_offsets
-from autoreg.joints.joint_looks import NO_JOINT, Strip, bloom_px, estimate_strip
+from autoreg.joints.joint_looks import NO_JOINT, Strip, bloom_px
+from autoreg.joints.look_estimates import estimate_strip
 from autoreg.joints.profiles import sample_profiles
 from autoreg.slabs.uncertainty import settle
 from autoreg.solve.freedom import Free

@@ -18,7 +18,8 @@ from autoreg.fitting.refine import WIDE_SEARCH, refine_until_still
 from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.sides import ALONG_X, ALONG_Y
-from autoreg.joints.joint_looks import BLURS, Strip, first_look, projected_width_px, sample
+from autoreg.joints.first_looks import first_look
+from autoreg.joints.joint_looks import BLURS, Strip, projected_width_px, sample
 from autoreg.joints.profiles import sample_profiles
 
 # Fewer stations than this do not tell it.

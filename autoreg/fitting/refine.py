@@ -15,18 +15,9 @@ from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, Grid, visible_sides
 from autoreg.ground.stations import Stations, place_stations
 from autoreg.joints.edges import LEAST_STRENGTH, Offsets, fit_offsets
-from autoreg.joints.joint_looks import (
-    DARK,
-    Strip,
-    bloom_px,
-    estimate_strip,
-    first_look,
-    joint_polarity,
-    middle_px,
-    projected_width_px,
-    search_joints,
-    width_px_of,
-)
+from autoreg.joints.first_looks import first_look, joint_polarity, search_joints
+from autoreg.joints.joint_looks import DARK, Strip, bloom_px, middle_px, projected_width_px, width_px_of
+from autoreg.joints.look_estimates import estimate_strip
 from autoreg.joints.profiles import Profiles, sample_profiles
 from autoreg.joints.smeared_looks import smear_px
 from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
