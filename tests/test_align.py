@@ -225,7 +225,13 @@ def test_ground_without_a_lattice_is_refused_by_name(gravel_photo: SyntheticPhot
     assert len(caught.value.message) > 40
 
 
-@pytest.mark.parametrize("name", ["brick", "chelsea", "grass", "gravel", "page", "stereo_motorcycle"])
+OTHER_THINGS = ("brick", "grass", "gravel")
+OTHERS_THAT_TAKE_LONG = ("chelsea", "page", "stereo_motorcycle")
+
+
+@pytest.mark.parametrize(
+    "name", [*OTHER_THINGS, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS_THAT_TAKE_LONG)]
+)
 def test_real_pictures_of_other_things_are_refused(name: str):
     """Those that scikit-image brings along: a brick wall, a cat, grass, a scanned page, ..."""
     loaded = getattr(skimage.data, name)()

@@ -24,7 +24,7 @@ HIDDEN = replace(
 )
 
 
-@pytest.mark.parametrize("width", [0.6 * WIDTH, WIDTH, 1.4 * WIDTH])
+@pytest.mark.parametrize("width", [0.6 * WIDTH, pytest.param(WIDTH, marks=pytest.mark.slow), 1.4 * WIDTH])
 def test_steps_are_taken_for_the_near_rims_of_hidden_beds_however_wide_a_strip_was_thought(width: float):
     fit = fit_of(HIDDEN, width, (0, -1), REACH)
     measured = from_near_rims(fit)

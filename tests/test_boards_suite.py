@@ -71,6 +71,7 @@ def test_a_frame_that_lies_upside_down_is_turned_over():
     assert pytest.approx(over.R) == boards.towards_camera(over.R, over.t).R
 
 
+@pytest.mark.slow
 def test_the_suite_judges_what_align_makes_of_them(drawn: Path, tmp_path: Path):
     found = boards.run(Options(tmp_path, quick=True, chessboards=drawn, groundgrid=tmp_path))
     figures = {figure.key: figure.value for figure in found.figures}

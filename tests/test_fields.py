@@ -145,6 +145,7 @@ def test_fine_slabs_are_no_smaller_field_for_being_seen_less_far(others: list[Pa
     assert sides_m(largest) == pytest.approx([0.2, 0.1], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_field_on_another_plane_is_none_of_this_ground(others: list[Paving | None]) -> None:
     pose = look_at_ground(pitch_deg=34.7, height_m=1.7, heading_deg=20.0)
     ramp = replace(FAR, cam_from_ground=pose, spacing_m=(0.3, 0.3))

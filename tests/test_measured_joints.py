@@ -23,7 +23,7 @@ from autoreg.paving.corrections import recentred
 from autoreg.slabs import slab_effects
 from autoreg.slabs.measured_joints import MeasuredJoints, measured_joints, widths_told, without_washed_out
 from autoreg.slabs.slab_effects import STEPS_RELIEF, STEPS_TOGETHER, TOGETHER, common_effects, relief_effects
-from autoreg.slabs.slab_equations import RELIEFS, SlabEquations
+from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
 from autoreg.slabs.uncertainty import Settled, settle
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
@@ -233,28 +233,36 @@ def test_a_family_of_steps_only_is_moved_less_by_relief_and_more_by_what_is_not_
 def test_motion_and_likelihood_are_those_of_a_dense_solution_with_all_effects_means(widths: bool):
     fit = fitted()
     free, rows = Free(), np.flatnonzero(fit.usable)[::7]
-    prior, sizes = free.prior(fit.camera), (0.0006, 0.25, 0.3, 0.5)
+    prior, sizes = free.prior(fit.camera), Sizes(0.0006, 0.25, 0.3, 0.5, together=1.0)
     model = SlabEquations(fit, free.mask, prior, 0.0, rows, widths)
     model.factor(sizes)
     p = len(model.free)
     V = np.diag(model.D) + (model.Z.toarray() * model.scale**2) @ model.Z.toarray().T
     off, given = model.columns[:, -1], np.linalg.inv(V)
     values: list[tuple[float, float]] = []
-    for relief, (value, moved, covariance) in zip(RELIEFS, model.solve(), strict=True):
-        course = sizes[0] * sizes[3]
-        size = np.r_[np.ones(p), np.where(model.relief, relief, np.where(model.course, course, 1.0))]
-        X = model.columns[:, :-1] * size
-        mean = np.zeros(len(size))
-        mean[p:][model.relief] = model.expected
-        # A pose that the joints leave free is held by next to nothing.
-        known = np.diag(np.r_[1e-10 * np.einsum("ni,nm,mi->i", X, given, X)[:p], np.ones(len(size) - p)])
-        H = X.T @ given @ X + known
-        x = np.linalg.solve(H, known @ mean - X.T @ given @ off)
-        left, away = off + X @ x, x - mean
-        assert moved == pytest.approx(x[:p], rel=1e-5, abs=1e-7 * float(np.abs(x[:p]).max()))
-        assert np.allclose(covariance, np.linalg.inv(H)[:p, :p], rtol=1e-5)
-        likely = -0.5 * (left @ given @ left + away @ known @ away + np.linalg.slogdet(H)[1])
-        values.append((value, float(likely)))
+    for together in (1.0, 3.0):
+        model.factor(sizes._replace(together=together))
+        for relief, (value, moved, covariance) in zip(RELIEFS, model.solve(), strict=True):
+            size = np.ones(len(model.columns[0]) - 1)
+            for mask, own in (
+                (model.relief, relief),
+                (model.common, together),
+                (model.course, sizes.place * sizes.course),
+            ):
+                size[p:][mask] = own
+            X = model.columns[:, :-1] * size
+            mean = np.zeros(len(size))
+            mean[p:][model.relief] = model.expected
+            # A pose that the joints leave free is held by next to nothing.
+            little = 1e-10 * np.einsum("ni,nm,mi->i", X, given, X)[:p]
+            known = np.diag(np.r_[little, np.ones(len(size) - p)])
+            H = X.T @ given @ X + known
+            x = np.linalg.solve(H, known @ mean - X.T @ given @ off)
+            left, away = off + X @ x, x - mean
+            assert moved == pytest.approx(x[:p], rel=1e-5, abs=1e-7 * float(np.abs(x[:p]).max()))
+            assert np.allclose(covariance, np.linalg.inv(H)[:p, :p], rtol=1e-5)
+            likely = -0.5 * (left @ given @ left + away @ known @ away + np.linalg.slogdet(H)[1])
+            values.append((value, float(likely)))
     ours, dense = (np.array(each) - each[0] for each in zip(*values, strict=True))
     assert ours == pytest.approx(dense, abs=1e-4 * float(np.abs(dense).max()))
 

@@ -72,7 +72,15 @@ def test_a_fit_that_met_both_edges_stays(stack_fit: Fit, stack_photo: SyntheticP
     assert with_both_edges(gray_of(stack_photo), stack_fit, reach=6.0) is stack_fit
 
 
-@pytest.mark.parametrize(("joint", "seed"), [(0.045, 1), (0.055, 2), (0.075, 4), (0.09, 6)])
+@pytest.mark.parametrize(
+    ("joint", "seed"),
+    [
+        (0.045, 1),
+        pytest.param(0.055, 2, marks=pytest.mark.slow),
+        pytest.param(0.075, 4, marks=pytest.mark.slow),
+        (0.09, 6),
+    ],
+)
 def test_wide_joints_are_as_good_as_narrow_ones(joint: float, seed: int):
     """From a tenth of the slab's side to nearly a quarter, as joints with grass or gravel in them are."""
     pitch, heading = 30.0 + 5.0 * seed, 17.0 * seed

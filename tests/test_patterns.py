@@ -114,6 +114,25 @@ def test_whole_lines_that_break_off_in_turn_are_told_from_a_few_that_are_worn(fa
         assert not broken(presence((sides.family != family) | ~np.isin(sides.line, worn)), family)
 
 
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_pinwheels_of_large_and_small_squares_leave_out_two_of_five_joints(family: int):
+    rng = np.random.default_rng(17)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 16.0))
+    sides = sides.take(rng.permutation(len(sides)))
+    # A square of two by two and one of one by one in turn: joints that would cut the large ones are absent.
+    ours = (sides.family != family) | ~np.isin((sides.line - 2 * sides.cell) % 5, (0, 3))
+
+    def presence(there: np.ndarray) -> Presence:
+        p = np.where(there, rng.beta(0.2, 3.0, len(sides)), rng.uniform(size=len(sides)))
+        return presence_with(sides, np.maximum(p, 1e-3))
+
+    assert broken(presence(ours), family)
+    assert not broken(presence(ours), ALONG_X + ALONG_Y - family)
+    for _ in range(20):
+        worn = rng.uniform(size=len(sides)) < 0.4
+        assert not broken(presence(~worn), family)
+
+
 @pytest.mark.parametrize("worn", [0.0, 0.2])
 @pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
 def test_slabs_twice_as_long_are_told_from_worn_joints_wherever_their_courses_begin(family: int, worn: float):

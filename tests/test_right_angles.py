@@ -279,6 +279,7 @@ def test_an_aligned_photo_of_rows_carries_the_uncertainty_of_its_focal_length():
     assert between < 4 * spread[0]
 
 
+@pytest.mark.slow
 def test_a_photo_whose_rows_leave_it_open_is_refused_and_asks_for_the_camera():
     with pytest.raises(Refusal) as refused:
         align(photo_of(AWAY).pixels, None)

@@ -107,6 +107,7 @@ def test_a_slab_tells_a_lens_out_of_the_middle_of_a_photo_taken_almost_squarely(
     assert np.rad2deg(turn) < 1.0
 
 
+@pytest.mark.slow
 def test_a_wrong_slab_is_refused_where_the_joints_tell_the_focal_length() -> None:
     with pytest.raises(Refusal, match="--camera") as caught:
         align(picture(aslant=True), None, slab=(0.6, 0.4))

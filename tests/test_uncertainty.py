@@ -406,7 +406,7 @@ def test_a_ratio_that_was_told_is_held_where_the_joints_confirm_it(
     covariance[RATIO, RATIO] = sigma**2
     covariance[0, RATIO] = covariance[RATIO, 0] = 5e-5 * sigma
     nothing = np.zeros(MOTION)
-    estimate = Estimate(nothing, nothing, covariance, Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0))
+    estimate = Estimate(nothing, nothing, covariance, Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0, 1.0))
     told = _with_told_ratio(replace(stack_fit, free=free), estimate)
     assert (told is not None) == held
     if told is not None:
@@ -429,6 +429,6 @@ def test_a_camera_far_from_the_given_one_does_not_clear_it(
     stack_fit: Fit, shift: tuple[float, ...], chi_square: float, alike: bool
 ) -> None:
     nothing = np.zeros(MOTION)
-    motion = Estimate(nothing, nothing, np.eye(MOTION), Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0))
+    motion = Estimate(nothing, nothing, np.eye(MOTION), Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0, 1.0))
     told = camera_check._Told(stack_fit, motion, chi_square, np.array(shift))
     assert camera_check._alike(told, stack_fit) is alike

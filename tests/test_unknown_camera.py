@@ -58,7 +58,7 @@ def test_pixels_that_are_not_square_and_a_lens_that_is_not_in_the_middle_are_all
     assert abs(focal - camera.fx) < 3.3 * sigma
 
 
-@pytest.mark.parametrize("heading_deg", [25.0, 64.0])
+@pytest.mark.parametrize("heading_deg", [25.0, pytest.param(64.0, marks=pytest.mark.slow)])
 def test_a_bent_lens_is_allowed_for_in_all_that_bends_it(heading_deg: float) -> None:
     plain = Camera.from_focal(1000, 750, 800.0)
     camera = replace(plain, dist=(-0.16, 0.05, 8e-4, -6e-4))

@@ -80,6 +80,7 @@ def test_a_wall_that_the_camera_looks_down_on_is_no_floor_seen_upside_down(camer
     assert align(photo[::-1, ::-1].copy(), camera).lattice.kind == "running"
 
 
+@pytest.mark.slow
 def test_the_ground_before_a_wall_is_found_where_the_wall_is_plainer():
     pose = rolled(22.0)
     found = align(wall_beyond(ashlar(), bricks(), pose, 4.2), CAMERA)

@@ -10,10 +10,13 @@ from jaxtyping import Float, Float32, Int
 from autoreg.ground.sides import ALONG_X
 from autoreg.paving.presence import MISSED, Presence
 
-# Mean p-values of a class of sides that is absent, and of one that is there. Where those that are there are
-# worn, the absent ones stand out from the next by this many standard deviations: in 140 families of joints
-# of lattices that are none the less whole, by 2.0 at most.
-BROKEN_P, PRESENT_P, BREAK_SIGMAS = 0.35, 0.15, 3.0
+# Mean p-values of a class of sides that is absent, and of one that is there.
+BROKEN_P, PRESENT_P = 0.35, 0.15
+# Periods that are looked for, how many classes of each may be absent, and the standard deviations by which
+# they then stand out from the next where those that are there are worn: in 140 families of joints of lattices
+# that are none the less whole one does by 2.0 at most. Two of five are absent in pinwheels of large and small
+# squares whose sides are as two to one, by 8 and more.
+BREAKS = ((3, 1, 3.0), (4, 1, 3.0), (5, 2, 4.5))
 # A single line may be worn or covered as a whole: of lines, with so many sides, so many are asked for in
 # every class.
 FEWEST_SIDES, FEWEST_LINES = 4, 3
@@ -150,9 +153,9 @@ def skipping(presence: Presence, family: int) -> bool:
 def broken(presence: Presence, family: int) -> bool:
     """Whether the joints of a family break off at regular intervals, as those of herringbone do.
 
-    The sides of one residue class, counted obliquely over the lattice, are then absent while all others are
-    there; no stack or running bond of whole slabs looks like that. Whole lines that break off so are those of
-    courses of two widths in turn, or of the edges of joints as wide as half of their slabs.
+    The sides of one residue class, counted obliquely over the lattice, or of two, are then absent while all
+    others are there; no stack or running bond of whole slabs looks like that. Whole lines that break off so
+    are those of courses of two widths in turn, or of the edges of joints as wide as half of their slabs.
     """
     near = presence.nearest(0.5)
     rows = np.flatnonzero(near.sides.family == family)
@@ -162,7 +165,7 @@ def broken(presence: Presence, family: int) -> bool:
     # Counted by place: the rows of a running bond count their sides from starts of their own.
     ends = near.sides.ends[rows][:, :, 0 if family == ALONG_X else 1]
     cell = np.floor(ends.mean(1) / np.median(np.ptp(ends, axis=1)) + 1e-6).astype(int)
-    for m in (3, 4):
+    for m, most, sigmas in BREAKS:
         for q in range(m):
             residue = (line - cell * q) % m
             count = np.bincount(residue, minlength=m)
@@ -170,12 +173,14 @@ def broken(presence: Presence, family: int) -> bool:
                 continue
             mean = np.bincount(residue, weights=p, minlength=m) / count
             scatter = np.sqrt(((p - mean[residue]) ** 2).sum() / max(len(p) - m, 1))
-            second, last = np.argsort(mean)[-2:]
-            beyond = BREAK_SIGMAS * scatter * np.sqrt(1 / count[last] + 1 / count[second])
-            apart = mean[last] - mean[second]
-            absent = mean[last] > BROKEN_P and (mean[second] < PRESENT_P or apart > beyond)
-            if absent and (q > 0 or _whole_lines(line, p, m, int(last))):
-                return True
+            order = np.argsort(mean)
+            for absent in range(1, most + 1):
+                there, gone = order[-absent - 1], order[-absent]
+                beyond = sigmas * scatter * np.sqrt(1 / count[gone] + 1 / count[there])
+                apart = mean[gone] - mean[there]
+                clear = mean[gone] > BROKEN_P and (mean[there] < PRESENT_P or apart > beyond)
+                if clear and (q > 0 or _whole_lines(line, p, m, int(gone))):
+                    return True
     return False
 
 

@@ -42,8 +42,18 @@ GROSS_SIGMAS = 4.0
 # How much larger bright tiles may look that meet without a joint, beyond what the fit has taken off already.
 BLOOM_PX = 0.1
 
-# Of a slab's place, and as shares of it: lift, turn, and what the joints of one line lie aside together.
-Sizes = tuple[float, float, float, float]
+
+class Sizes(NamedTuple):
+    """Standard deviation of a slab's place, and as shares of it: lift, turn, and what a line's joints share.
+
+    `together` is how many times as large as usual what all joints of a family are off by is.
+    """
+
+    place: float
+    lift: float
+    turn: float
+    course: float
+    together: float
 
 
 class _Normal(NamedTuple):
@@ -93,18 +103,18 @@ class SlabEquations:
         self.kind = np.repeat(kinds, [effects[k].get_shape()[1] for k in kinds])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
         relief, self.expected = relief_effects(joints)
+        common = common_effects(joints)
         others = (
-            common_effects(joints),
             width_effects(joints),
             bow * bow_effects(joints),
             BLOOM_PX * bloom_effects(joints),
         )
-        no_courses = sizes is not None and sizes[-1] == 0
+        no_courses = sizes is not None and sizes.course == 0
         course = np.zeros((len(joints.off_px), 0)) if no_courses else course_effects(joints)
-        # Which of these columns are scaled by the sizes of the relief and of the courses' places.
-        counts = [relief.shape[1], sum(effect.shape[1] for effect in others), course.shape[1]]
-        self.relief, self.course = (np.repeat(of, counts) for of in np.eye(3, dtype=bool)[[0, 2]])
-        self.columns = np.c_[J * self.unit, relief, *others, course, joints.off_px]
+        # Which of these columns are scaled by the sizes of the relief, of what is common and of the courses.
+        counts = [relief.shape[1], common.shape[1], course.shape[1], sum(each.shape[1] for each in others)]
+        self.relief, self.common, self.course = (np.repeat(of, counts) for of in np.eye(4, dtype=bool)[:3])
+        self.columns = np.c_[J * self.unit, relief, common, course, *others, joints.off_px]
         self.course_squares = (course**2).sum(1)
         self.begin_anew()
 
@@ -149,7 +159,7 @@ class SlabEquations:
 
     def factor(self, sizes: Sizes) -> None:
         """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
-        place, lift, turn, course = sizes
+        place, lift, turn, course, self.together_size = sizes
         self.course_size = place * course
         if self.factored == (place, lift, turn):
             return
@@ -189,7 +199,9 @@ class SlabEquations:
 
     def _sized(self, relief: float) -> Float[np.ndarray, " k"]:
         """Sizes of all columns: one for the motion and for the effects that have no size of their own."""
-        of_effects = np.where(self.relief, relief, np.where(self.course, self.course_size, 1.0))
+        of_effects = np.ones(len(self.relief))
+        of_effects[self.relief], of_effects[self.common] = relief, self.together_size
+        of_effects[self.course] = self.course_size
         return np.r_[np.ones(len(self.free)), of_effects]
 
     def _prior(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -254,7 +266,7 @@ class SlabEquations:
         left = self.columns @ np.r_[x, 1.0]
         own = self.D * self._whitened(left[:, None])[:, 0]
         # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
-        place, lift, turn, course = sizes
+        place, lift, turn, course, _ = sizes
         variance = self.joints.noise_px**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
         variance += self.course_squares * (place * course) ** 2
         deviation = np.abs(left) / np.sqrt(variance)

@@ -32,15 +32,19 @@ from autoreg.solve.joint_data import MOTION
 from autoreg.solve.solver import Prior
 from autoreg.spread import spread_about
 
-# What is tried in turn: factors of the place's size, and sizes of lift, turn and courses as shares of it,
-# from those that are tried first.
+# What is tried in turn: factors of the place's size, sizes of lift, turn and courses as shares of it, and of
+# what is common to a family, from those that are tried first.
 WIDE_SEARCHES = (
-    ((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5), (0.0, 0.8, 2.0)),
-    ((0.5, 0.75, 1.3), (), (), (0.0, 0.8, 2.0, 5.0)),
+    ((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 0.5), (0.0, 0.8, 2.0), (2.0, 4.0)),
+    ((0.5, 0.75, 1.3), (), (), (0.0, 0.8, 2.0, 5.0), (1.0, 2.0, 4.0, 8.0)),
 )
-FIRST = (0.33, 0.25, 0.3)
+FIRST = (0.33, 0.25, 0.3, 1.0)
 # Near an earlier estimate, finely: how much evener another camera makes the slabs is judged by it.
-NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0)), ((0.85, 1.18), (), (), ()))
+NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0), ()), ((0.85, 1.18), (), (), (), ()))
+# How many times as large as usual what the joints of a family are off by together may be, and how likely
+# each is beforehand: chamfers, worn rims and deep shadows do more than the plain walls that the usual is of.
+# What of it changes with the slope of the view shows in the residuals; what does not goes with it.
+TIMES_TOGETHER = {1.0: 0.65, 2.0: 0.2, 4.0: 0.1, 8.0: 0.05}
 # Factors of the likeliest place's size over which the answer is averaged, from it downwards and upwards, and
 # by how much less likely one is that no longer counts, nor do those beyond.
 LIKELY, NEGLIGIBLE_NATS = ((1.0, 0.75, 0.55), (1.33, 1.8)), 9.0
@@ -61,8 +65,9 @@ class Scatter:
     """Standard deviations of the slabs' irregularity, in the unit of the pose (`turn` in radians).
 
     `lift` and `turn` are of slabs, like `place`; `course` is what the joints of one line lie aside together,
-    and those of a family at its ends; `relief` is a share of half the joint's width. `misfit` is the factor,
-    in variance, by which joints agree on being off beyond what all of these explain.
+    and those of a family at its ends; `relief` is a share of half the joint's width. `together` is how many
+    times as large as usual what a family's joints are off by is. `misfit` is the factor, in variance, by
+    which joints agree on being off beyond what all of these explain.
     """
 
     place: float
@@ -70,6 +75,7 @@ class Scatter:
     turn: float
     course: float
     relief: float
+    together: float
     misfit: float
 
     @property
@@ -142,9 +148,8 @@ def estimate_motion(
     (parameters, relieved), covariance = np.zeros((2, MOTION)), np.zeros((MOTION, MOTION))
     parameters[model.free], relieved[model.free] = mean * model.unit, by_relief * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
-    place, lift, turn, course = sizes
     relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
-    scatter = Scatter(place, place * lift, place * turn / fit.grid.slab_side, place * course, relief, misfit)
+    scatter = _scatter_of(sizes, fit.grid.slab_side, relief, misfit)
     return Estimate(parameters, relieved, covariance, scatter)
 
 
@@ -153,7 +158,7 @@ def _misfit(model: SlabEquations, sizes: Sizes, relief: float, sunk: float) -> f
     if not len(model.joints.wide):
         model.factor(sizes)
         return max(1.0, model.misfit(relief))
-    aside = sizes[0] * float(np.hypot(1.0, sizes[-1])) / (DROWNED * model.joints.width)
+    aside = sizes.place * float(np.hypot(1.0, sizes.course)) / (DROWNED * model.joints.width)
     return 1.0 + (MISFIT - 1.0) * sunk / (1.0 + aside**2)
 
 
@@ -164,15 +169,21 @@ def _weights(value: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 
 
 def _likely(model: SlabEquations, sizes: Sizes) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """Log likelihood, motion and covariance, relief by relief, by scatters of about the likeliest size."""
+    """Log likelihood, motion and covariance, relief by relief, by scatters of about the likeliest size.
+
+    Whatever is common to a family is averaged over as well.
+    """
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
     best = -np.inf
     for way in LIKELY:
         for factor in way:
-            model.factor((factor * sizes[0], *sizes[1:]))
-            solved = model.solve()
-            found += solved
-            likelihood = max(value for value, _, _ in solved)
+            likelihood = -np.inf
+            for together, likely in TIMES_TOGETHER.items():
+                model.factor(sizes._replace(place=factor * sizes.place, together=together))
+                for value, moved, covariance in model.solve():
+                    value += float(np.log(likely))
+                    found.append((value, moved, covariance))
+                    likelihood = max(likelihood, value)
             best = max(best, likelihood)
             if likelihood < best - NEGLIGIBLE_NATS:
                 break
@@ -181,8 +192,14 @@ def _likely(model: SlabEquations, sizes: Sizes) -> list[tuple[float, np.ndarray,
 
 def _sizes_of(scatter: Scatter, side: float) -> Sizes:
     """The sizes that an earlier estimate found, for slabs of such a side."""
-    place = scatter.place
-    return place, scatter.lift / place, scatter.turn * side / place, scatter.course / place
+    place, turn = scatter.place, scatter.turn * side
+    return Sizes(place, scatter.lift / place, turn / place, scatter.course / place, scatter.together)
+
+
+def _scatter_of(sizes: Sizes, side: float, relief: float, misfit: float) -> Scatter:
+    """What an estimate says of slabs of such a side."""
+    place, lift, turn, course, together = sizes
+    return Scatter(place, place * lift, place * turn / side, place * course, relief, together, misfit)
 
 
 def _in_blocks(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:
@@ -206,20 +223,25 @@ def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes,
     if near is None:
         joints = model.joints
         ground = spread_about(joints.off_px[: len(joints.rows)] / joints.px_per_unit) + 1e-12
-        best, relief, searches = (ground, *FIRST), 0.5, WIDE_SEARCHES
+        best, relief, searches = Sizes(ground, *FIRST), 0.5, WIDE_SEARCHES
     else:
         best, relief, searches = _sizes_of(near, model.joints.fit.grid.slab_side), near.relief, NEAR_SEARCHES
     model.reweigh(best, relief)
     for search in searches:
-        score, relief = max((value, r) for r, value in model.evidence(best).items())
+        score, relief = _best_relief(model, best)
         for axis, options in enumerate(search):
             centre = best
             for option in options:
-                sizes = list(centre)
-                sizes[axis] = option if axis else option * centre[0]
-                tried = (sizes[0], sizes[1], sizes[2], sizes[3])
-                likelihood, likeliest = max((v, r) for r, v in model.evidence(tried).items())
+                field = Sizes._fields[axis]
+                tried = centre._replace(**{field: option if axis else option * centre.place})
+                likelihood, likeliest = _best_relief(model, tried)
                 if likelihood > score:
                     score, relief, best = likelihood, likeliest, tried
         model.reweigh(best, relief)
     return best, relief
+
+
+def _best_relief(model: SlabEquations, sizes: Sizes) -> tuple[float, float]:
+    """The highest log likelihood of the sizes, whatever the relief is, and the relief that has it."""
+    value, relief = max((value, relief) for relief, value in model.evidence(sizes).items())
+    return value + float(np.log(TIMES_TOGETHER[sizes.together])), relief
