@@ -11,6 +11,7 @@ import pytest
 
 from autoreg.answer.last_step import likeliest
 from autoreg.camera import Camera
+from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import vector_from_rotation
@@ -22,7 +23,16 @@ from autoreg.joints.widths import Widths
 from autoreg.paving.corrections import recentred
 from autoreg.slabs import slab_effects
 from autoreg.slabs.measured_joints import MeasuredJoints, measured_joints, widths_told, without_washed_out
-from autoreg.slabs.slab_effects import STEPS_RELIEF, STEPS_TOGETHER, TOGETHER, common_effects, relief_effects
+from autoreg.slabs.slab_effects import (
+    RIM_ASIDE,
+    RIM_BELOW,
+    STEPS_RELIEF,
+    STEPS_TOGETHER,
+    TOGETHER,
+    common_effects,
+    relief_effects,
+    rim_effects,
+)
 from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
 from autoreg.slabs.uncertainty import Settled, settle
 from autoreg.solve.freedom import Free
@@ -284,3 +294,21 @@ def test_walls_are_expected_to_let_joints_look_narrower_and_nearer():
     narrower, told = moved[count:], seen_nearer[count:]
     some = along_y[joints.wide]
     assert np.sign(narrower[some]) @ np.sign(told[some]) > 0.9 * some.sum()
+
+
+def test_bevelled_rims_may_lay_joints_aside_and_below_their_slabs():
+    fit = fitted()
+    joints = measured_joints(fit, np.flatnonzero(fit.usable))
+    n = len(joints.rows)
+    effects = rim_effects(joints)
+    aside, below, along_x = effects[:n, :2], effects[:n, 2], fit.stations.family[joints.rows] == ALONG_X
+    width_px = joints.width * joints.px_per_unit
+    assert aside[along_x] == pytest.approx(np.outer(RIM_ASIDE * width_px[along_x], [1, 0]))
+    assert aside[~along_x] == pytest.approx(np.outer(RIM_ASIDE * width_px[~along_x], [0, 1]))
+    # What lies lower by a length is seen nearer by so much times the slope of the view.
+    slope = across_slope(fit)[joints.rows]
+    assert below == pytest.approx(RIM_BELOW * width_px * slope)
+    assert not effects[n:].any()
+    steps = replace(joints, fit=replace(fit, strip=replace(fit.strip, polarity=(0, -1))))
+    assert not rim_effects(steps)[:n][along_x].any()
+    assert rim_effects(steps)[:n][~along_x] == pytest.approx(effects[:n][~along_x])

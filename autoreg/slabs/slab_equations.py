@@ -25,6 +25,7 @@ from autoreg.slabs.slab_effects import (
     common_effects,
     course_effects,
     relief_effects,
+    rim_effects,
     slab_effects,
     width_effects,
 )
@@ -105,6 +106,7 @@ class SlabEquations:
         relief, self.expected = relief_effects(joints)
         common = common_effects(joints)
         others = (
+            rim_effects(joints),
             width_effects(joints),
             bow * bow_effects(joints),
             BLOOM_PX * bloom_effects(joints),

@@ -166,6 +166,13 @@ def _compound(s: Scene, r: np.random.Generator) -> Scene:
     return s
 
 
+def _chamfered(s: Scene, r: np.random.Generator) -> Scene:
+    """Cast slabs and pavers, whose rims are bevelled: in the sun one rim is dark, the other one light."""
+    if r.uniform() < 0.5:
+        s = _bond(s, r, 0.5)
+    return _pave(s, chamfer_m=r.uniform(0.0015, 0.004), joint_m=r.uniform(0.003, 0.008))
+
+
 def _patternless(layout: str) -> Callable[[Scene, np.random.Generator], Scene]:
     def make(s: Scene, r: np.random.Generator) -> Scene:
         return replace(
@@ -240,6 +247,7 @@ KINDS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
     # A scene's seed counts the kinds before its own, so that new ones come last.
     "refuse-rings": _curved("rings"),
     "refuse-waves": _curved("waves"),
+    "chamfer": _chamfered,
 }
 
 

@@ -34,6 +34,7 @@ class Paving:
         shift: part of a slab by which each row of a running bond moves along +X.
         joint_m: width of the joints.
         depth_m: how deep the bed lies under the slabs' tops.
+        chamfer_m: how far the slabs' rims are bevelled, at 45 degrees.
         place_jitter_m: standard deviation of each slab's place along X and Y.
         height_jitter_m: standard deviation of each slab's height.
         turn_jitter_deg: standard deviation of each slab's turn about its middle.
@@ -55,6 +56,7 @@ class Paving:
     shift: float = 0.0
     joint_m: float = 0.009
     depth_m: float = 0.006
+    chamfer_m: float = 0.0
     place_jitter_m: float = 0.0012
     height_jitter_m: float = 0.0004
     turn_jitter_deg: float = 0.05

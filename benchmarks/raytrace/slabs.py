@@ -137,6 +137,16 @@ def lay(paving: Paving, centre_m: np.ndarray, rng: np.random.Generator) -> Slabs
     return _lattice(paving, centre_m, half)
 
 
+def _body(half_x: float, half_y: float, chamfer: float) -> str:
+    """A slab's body about the middle of its top, up to where its texture follows."""
+    box = f"<{-half_x:.5f},{-half_y:.5f},-0.04>, <{half_x:.5f},{half_y:.5f},0>"
+    if not chamfer:
+        return f"box {{ {box}"
+    rims = [("<1,0,1>", half_x), ("<-1,0,1>", half_x), ("<0,1,1>", half_y), ("<0,-1,1>", half_y)]
+    cuts = " ".join(f"plane {{ {normal}, {(half - chamfer) / np.sqrt(2):.6f} }}" for normal, half in rims)
+    return f"intersection {{ box {{ {box} }} {cuts} bounded_by {{ box {{ {box} }} }}"
+
+
 def boxes_text(paving: Paving, slabs: Slabs, rng: np.random.Generator, prefix: str = "Stone") -> str:
     """One box per slab, moved, lifted and turned by the jitter, its texture cut from a place of its own."""
     n = len(slabs.middle_m)
@@ -154,7 +164,7 @@ def boxes_text(paving: Paving, slabs: Slabs, rng: np.random.Generator, prefix: s
         x, y = middle[k]
         dx, dy, dz = cut[k]
         parts.append(
-            f"box {{ <{-hx:.5f},{-hy:.5f},-0.04>, <{hx:.5f},{hy:.5f},0> "
+            f"{_body(hx, hy, paving.chamfer_m)} "
             f"texture {{ {prefix}{tone[k]} translate <{dx:.2f},{dy:.2f},{dz:.2f}> }} "
             f"rotate z*{turn[k]:.4f} translate <{x:.5f},{y:.5f},{lift[k]:.5f}> }}\n"
         )
