@@ -95,8 +95,7 @@ def test_where_jax_is_imported_already_its_own_form_is_fetched(kept):
         "KNOWN_RELEASES = ('0.7.',)",
         # What is missing is called, and so an error.
         "_register_lapack = None",
-        "_handlers = None",
-        "_put = None",
+        *(pytest.param(f"{name} = None", marks=pytest.mark.slow) for name in ("_handlers", "_put")),
     ],
 )
 def test_jax_stands_in_where_jaxlib_is_not_as_it_was(kept, broken):
@@ -127,6 +126,7 @@ def test_a_form_that_cannot_be_trusted_is_not_run(kept, spoil):
     assert in_a_process(bare.parent) == ["bare", solved]
 
 
+@pytest.mark.slow
 def test_code_of_the_right_digest_that_is_no_code_is_not_run(kept):
     bare, own, solved = kept
     machine_code.keep_code(bare, bytes(1000))
@@ -135,12 +135,14 @@ def test_code_of_the_right_digest_that_is_no_code_is_not_run(kept):
     assert in_a_process(bare.parent) == ["compiled", solved]
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_written_does_no_harm(filled, tmp_path):
     stands_in_the_way = tmp_path / "file"
     stands_in_the_way.write_text("")
     assert in_a_process(stands_in_the_way / "cache") == ["compiled", filled[1]]
 
 
+@pytest.mark.slow
 def test_threads_that_solve_at_once_without_jax_find_the_same(kept):
     bare, _, solved = kept
     then = """

@@ -116,7 +116,7 @@ def test_the_plainest_field_is_the_near_one(two_fields: np.ndarray) -> None:
     ("camera", "far", "border_m"),
     [
         (CAMERA, FAR, 2.4),
-        (CAMERA, ASKEW, 3.0),
+        pytest.param(CAMERA, ASKEW, 3.0, marks=pytest.mark.slow),
         pytest.param(PORTRAIT, ASKEW, 2.6, marks=pytest.mark.slow),
         pytest.param(LENS, ASKEW, 3.0, marks=pytest.mark.slow),
     ],

@@ -117,6 +117,7 @@ def best_combs_of(look: Look, R: np.ndarray) -> tuple[tuple[Comb, ...], tuple[Co
     return best_combs(rectified.x, local=True), best_combs(rectified.y, local=True)
 
 
+@pytest.mark.slow
 def test_a_floor_with_faint_joints_is_aligned_under_soft_light():
     gray = in_soft_light(render_paving(FAINT))
     found = align(gray, CAMERA, slab=FAINT.spacing_m).pose.cam_from_ground

@@ -47,7 +47,9 @@ from autoreg.rendering.staging import focused
 from autoreg.view import View, Window
 
 needs_povray = pytest.mark.skipif(find_povray() is None, reason="POV-Ray is not installed")
-LENSES = pytest.mark.parametrize("camera", [CAMERA, distorted()], ids=["pinhole", "lens"])
+LENSES = pytest.mark.parametrize(
+    "camera", [pytest.param(CAMERA, marks=pytest.mark.slow), distorted()], ids=["pinhole", "lens"]
+)
 # POV-Ray's 16-bit colours move by a few units with which of its threads renders a block.
 THREADS = 8 / 65535
 

@@ -195,7 +195,9 @@ def test_a_lens_that_folds_the_picture_is_rejected():
 
 
 @pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed")
-@pytest.mark.parametrize("dist", [(0.0,) * 8, LENS.dist], ids=["pinhole", "lens"])
+@pytest.mark.parametrize(
+    "dist", [pytest.param((0.0,) * 8, marks=pytest.mark.slow), LENS.dist], ids=["pinhole", "lens"]
+)
 def test_the_truth_of_a_ray_traced_scene_is_where_povray_drew_its_joints(dist: tuple[float, ...]):
     camera = replace(PLAIN.camera, dist=dist)
     pose = look_at_ground(pitch_deg=50.0, height_m=1.5, heading_deg=20.0)

@@ -252,7 +252,7 @@ def test_a_calibration_half_a_percent_off_is_no_contradiction() -> None:
     assert check_camera(fitted(0.002, 0, 1.005), picture(0.002, 0)).consistent
 
 
-@pytest.mark.parametrize("focal", [0.92, 1.1])
+@pytest.mark.parametrize("focal", [pytest.param(0.92, marks=pytest.mark.slow), 1.1])
 def test_a_wrong_focal_length_is_called_out_and_the_right_one_named(focal: float) -> None:
     check = check_camera(fitted(0.0, 0, focal), picture(0.0, 0))
     assert not check.consistent

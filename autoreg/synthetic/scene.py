@@ -49,6 +49,7 @@ class SyntheticScene:
             must stay under that fifth.
         joint_depth_m: how deep the bed of the joints of "lattice" lies under the slabs' tops; 0 paints flat
             joints, whatever the sun.
+        chamfer_m: how far the rims beside sunk joints are bevelled, at 45 degrees, at most 0.9 of the depth.
         lift_m: standard deviation of each slab's height (at most 2.5 times that), at most 0.4 of the joints'
             depth, so that no slab sinks under the bed.
         slab_turn_rad: standard deviation of each slab's turn about its middle ("lattice").
@@ -85,6 +86,7 @@ class SyntheticScene:
     turn_rad: float = 0.0
     lean_rad: float = 0.0
     joint_depth_m: float = 0.0
+    chamfer_m: float = 0.0
     lift_m: float = 0.0
     slab_turn_rad: float = 0.0
     sun_azimuth_rad: float = 0.0
@@ -116,6 +118,11 @@ class SyntheticScene:
     def _check_relief(self) -> None:
         if self.joint_depth_m < 0:
             raise ValueError(f"joint_depth_m must not be negative, got {self.joint_depth_m} m")
+        if not 0 <= self.chamfer_m <= 0.9 * self.joint_depth_m:
+            raise ValueError(
+                f"chamfer_m must be within 0 and 0.9 of joint_depth_m = {self.joint_depth_m} m, "
+                f"got {self.chamfer_m} m"
+            )
         if not 0 <= self.lift_m <= 0.4 * self.joint_depth_m:
             raise ValueError(
                 f"lift_m must be within 0 and 0.4 of joint_depth_m = {self.joint_depth_m} m, "
