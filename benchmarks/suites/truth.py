@@ -156,12 +156,12 @@ def run(options: Options) -> Result:
             "noisy ones 10 to 30), fitted by the last stage from the truth; the pose and covariance are "
             "those that `align` reports. Joints are 8 to 14 mm wide and 3 to 8 mm deep, in a sun 25° to 65° "
             "high from anywhere, with 30 to 60 % of the light from the sky. The rims of every second paving "
-            "with sunk joints are bevelled by 0.7 to 3 mm. Irregular slabs lie aside by a standard deviation of 1.5 or 2 mm (with irregular courses by 1 mm, and the courses as a "
-            "whole by 1.5 mm), too high or low by half of that, and turned by 0.05°; even ones have "
-            "joints as if sawn. Printed ones are flat joints whose two sides look alike, through a perfect "
-            "lens: they are covered too often, as the covariance allows for more than that. Every regime "
-            "counts. Errors are normalised by the stated covariance; the medians should be 2.4 (rotation), "
-            "5.3 (pose) and 0.45 (focal)."
+            "with sunk joints are bevelled by 0.7 to 3 mm. Irregular slabs lie aside by a standard deviation "
+            "of 1.5 or 2 mm (with irregular courses by 1 mm, and the courses as a whole by 1.5 mm), too high "
+            "or low by half of that, and turned by 0.05°; even ones lie just where they ought to. Printed "
+            "ones are flat joints whose two sides look alike, through a perfect lens: they are covered too "
+            "often, as the covariance allows for more than that. Every regime counts. Errors are normalised "
+            "by the stated covariance; the medians should be 2.4 (rotation), 5.3 (pose) and 0.45 (focal)."
         ),
         figures=(
             Figure("truth.pose", covered([o.pose for o in found], 6)),
