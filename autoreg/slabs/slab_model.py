@@ -136,12 +136,14 @@ def estimate_motion(
     found = _likely(model, sizes)
     value, moved, inner = (np.array(each) for each in zip(*found, strict=True))
     weight = _weights(value)
-    mean = weight @ moved
+    # Odd joints that are let lie off by more let the pose follow them: it is that of usual ones.
+    usual = np.arange(len(value)) // len(RELIEFS) % len(TIMES_TOGETHER) == 0
+    mean = _weights(value[usual]) @ moved[usual]
     # What differs between likely scatters is uncertainty too; it matters where slabs are few.
     away = moved - mean
     inner = inner + away[:, :, None] * away[:, None, :]
-    flat = slice(0, None, len(RELIEFS))
-    by_relief = mean - _weights(value[flat]) @ moved[flat]
+    flat = np.arange(len(value)) % len(RELIEFS) == 0
+    by_relief = mean - _weights(value[usual & flat]) @ moved[usual & flat]
     sunk = 1.0 - float(weight[flat].sum())
     misfit = _misfit(model, sizes, relief, sunk) if near is None else near.misfit
     spread = np.tensordot(weight, inner, 1) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
@@ -171,7 +173,7 @@ def _weights(value: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 def _likely(model: SlabEquations, sizes: Sizes) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """Log likelihood, motion and covariance, relief by relief, by scatters of about the likeliest size.
 
-    Whatever is common to a family is averaged over as well.
+    Whatever is common to a family is gone through as well, within each size of the place.
     """
     found: list[tuple[float, np.ndarray, np.ndarray]] = []
     best = -np.inf
