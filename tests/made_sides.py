@@ -18,9 +18,15 @@ def presence_with(
     return Presence(sides, p, np.full(n, 20.0), support, none, 20.0 * sides.ends.mean(1))
 
 
+def drawn_presence(
+    sides: Sides, there: np.ndarray, rng: np.random.Generator, clearness: float = 2.0
+) -> Presence:
+    """Sides of which some are there: the clearer, the smaller their p-values; any for the others."""
+    p = np.where(there, rng.beta(0.2, clearness, len(sides)), rng.uniform(size=len(sides)))
+    return presence_with(sides, np.maximum(p, 1e-3))
+
+
 def made_presence(there: np.ndarray) -> Presence:
     """Sides of a lattice of which some are there: clear p-values for them, uniform ones for the others."""
-    rng = np.random.default_rng(0)
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
-    p = np.where(there, rng.beta(0.2, 2.0, len(sides)), rng.uniform(size=len(sides)))
-    return presence_with(sides, np.maximum(p, 1e-3))
+    return drawn_presence(sides, there, np.random.default_rng(0))

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_sides import made_presence, presence_with
+from made_sides import drawn_presence, made_presence, presence_with
 
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
 from autoreg.paving.lattice_choice import departs, hopeful
@@ -104,8 +104,7 @@ def test_whole_lines_that_break_off_in_turn_are_told_from_a_few_that_are_worn(fa
     lines = np.unique(sides.line)
 
     def presence(there: np.ndarray) -> Presence:
-        p = np.where(there, rng.beta(0.2, 1.2, len(sides)), rng.uniform(size=len(sides)))
-        return presence_with(sides, np.maximum(p, 1e-3))
+        return drawn_presence(sides, there, rng, 1.2)
 
     assert broken(presence(thirds), family)
     assert not broken(presence(thirds), ALONG_X + ALONG_Y - family)
@@ -123,8 +122,7 @@ def test_pinwheels_of_large_and_small_squares_leave_out_two_of_five_joints(famil
     ours = (sides.family != family) | ~np.isin((sides.line - 2 * sides.cell) % 5, (0, 3))
 
     def presence(there: np.ndarray) -> Presence:
-        p = np.where(there, rng.beta(0.2, 3.0, len(sides)), rng.uniform(size=len(sides)))
-        return presence_with(sides, np.maximum(p, 1e-3))
+        return drawn_presence(sides, there, rng, 3.0)
 
     assert broken(presence(ours), family)
     assert not broken(presence(ours), ALONG_X + ALONG_Y - family)

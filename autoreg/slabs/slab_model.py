@@ -110,6 +110,8 @@ def estimate_motion(
 ) -> Estimate:
     """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
 
+    What is common to a family counts as usual for the motion; that it may be more adds to the covariance.
+
     Args:
         fit: a converged fit; its Jacobian tells what the parameters move.
         mask: ones for the free parameters.

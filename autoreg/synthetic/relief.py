@@ -61,7 +61,8 @@ def seen_parts(
     far = np.where(away > 0, beyond.edge_m, -before.edge_m)
     near_height = np.where(away > 0, before.height_m, beyond.height_m)
     far_height = np.where(away > 0, beyond.height_m, before.height_m)
-    stone, near_stone = (np.where((away > 0) == first, beyond.tone, before.tone) for first in (True, False))
+    stone = np.where(away > 0, beyond.tone, before.tone)
+    near_stone = np.where(away > 0, before.tone, beyond.tone)
     toward_sun = (np.cos(scene.sun_azimuth_rad), np.sin(scene.sun_azimuth_rad))[axis]
     travel = -away * toward_sun / np.tan(scene.sun_elevation_rad)
     # What lies by h higher is seen farther away by h times the slope. A near bevel hides behind its upper
