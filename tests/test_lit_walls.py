@@ -9,7 +9,9 @@ from scipy.special import ndtr
 from sunk_joints import SUNK, fit_of, nearer
 
 from autoreg.fitting.bare_steps import across_slope
-from autoreg.fitting.lit_walls import _fitted, _likeliest_looks, _Side, beside_lit_walls
+from autoreg.fitting.joint_parts import Parts, Side, fit_parts
+from autoreg.fitting.lit_sides import beside_lit_sides
+from autoreg.fitting.lit_walls import _likeliest_looks
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.slabs.measured_joints import measured_joints
 from autoreg.slabs.slab_effects import relief_effects
@@ -36,7 +38,7 @@ LIT = replace(
 def test_joints_lie_half_a_width_beyond_the_near_rim_whatever_the_wall_looks_like(elevation_deg: float):
     scene = replace(LIT, sun_elevation_rad=np.deg2rad(elevation_deg))
     fit = fit_of(scene, WIDTH, DARK, REACH)
-    measured = beside_lit_walls(fit)
+    measured = beside_lit_sides(fit)
     assert nearer(fit, scene) > 0.2
     assert abs(nearer(measured, scene)) < 0.06
     moved = measured.offsets.offset_px - fit.offsets.offset_px
@@ -49,7 +51,7 @@ def test_near_joints_that_are_dark_count_although_the_farther_ones_look_light(el
     fit = fit_of(scene, WIDTH, (1, -1), REACH)
     near = (fit.stations.family == ALONG_X) & (across_slope(fit) < 1.0)
     assert not fit.usable[near].any()
-    measured = beside_lit_walls(fit)
+    measured = beside_lit_sides(fit)
     assert measured.usable[near].all()
     at_feet = replace(measured, usable=near)
     assert abs(nearer(at_feet, scene)) < 0.06
@@ -58,7 +60,7 @@ def test_near_joints_that_are_dark_count_although_the_farther_ones_look_light(el
 
 def test_what_is_measured_from_near_rims_says_no_width_and_is_asked_for_no_relief():
     fit = fit_of(LIT, WIDTH, DARK, REACH)
-    measured = beside_lit_walls(fit)
+    measured = beside_lit_sides(fit)
     assert not fit.rimmed.any()
     lit = measured.rimmed
     assert np.array_equal(np.unique(measured.stations.family[lit]), [ALONG_X])
@@ -75,16 +77,16 @@ def test_walls_that_would_leave_the_joints_farther_from_their_lines_are_not_beli
 ):
     flat = replace(LIT, joint_depth_m=0.0)
     fit = fit_of(flat, WIDTH, DARK, REACH)
-    monkeypatch.setattr("autoreg.fitting.lit_walls._looks_of", lambda *_: (0.5, 0.95))
-    assert abs(nearer(beside_lit_walls(fit), flat)) < 0.02
-    monkeypatch.setattr("autoreg.fitting.lit_walls._rougher", lambda *_: False)
-    assert abs(nearer(beside_lit_walls(fit), flat)) > 0.1
+    monkeypatch.setattr("autoreg.fitting.lit_sides.walled", lambda *_: Parts(WIDTH, 0.0, 0.5, 0.95))
+    assert abs(nearer(beside_lit_sides(fit), flat)) < 0.02
+    monkeypatch.setattr("autoreg.fitting.lit_sides._rougher", lambda *_, **__: False)
+    assert abs(nearer(beside_lit_sides(fit), flat)) > 0.1
 
 
 def test_joints_along_the_view_are_left_alone():
     fit = fit_of(LIT, WIDTH, DARK, REACH)
     cross = fit.stations.family == ALONG_Y
-    assert np.array_equal(beside_lit_walls(fit).offsets.offset_px[cross], fit.offsets.offset_px[cross])
+    assert np.array_equal(beside_lit_sides(fit).offsets.offset_px[cross], fit.offsets.offset_px[cross])
 
 
 @pytest.mark.parametrize(
@@ -99,10 +101,10 @@ def test_joints_along_the_view_are_left_alone():
 def test_joints_of_one_tone_stay_where_they_are(changed: dict[str, float], width: float):
     scene = replace(LIT, **changed)  # type: ignore[arg-type]
     fit = fit_of(scene, width, DARK, REACH)
-    assert abs(nearer(beside_lit_walls(fit), scene)) < 0.08
+    assert abs(nearer(beside_lit_sides(fit), scene)) < 0.08
 
 
-def drawn_side(wall: float, off_px: float) -> _Side:
+def drawn_side(wall: float, off_px: float) -> Side:
     """Joints that lie so far beyond where they were found, whose far walls take up two fifths of them."""
     n, px_per_unit, blur_px, bed = 60, 300.0, 0.8, 0.25
     away = np.tile(np.arange(-8.0, 8.5, 0.5), (n, 1))
@@ -115,7 +117,7 @@ def drawn_side(wall: float, off_px: float) -> _Side:
         (bed - 1.0) * beyond(-half_px) + (wall - bed) * beyond(0.2 * half_px) + (1.0 - wall) * beyond(half_px)
     )
     tones = 1.0 + parts + rng.normal(0.0, 0.02, away.shape)
-    return _Side(away, tones, np.ones_like(away), np.full(n, px_per_unit), np.full(n, 0.8), blur_px)
+    return Side(away, tones, np.ones_like(away), np.full(n, px_per_unit), np.full(n, 0.8), blur_px)
 
 
 @pytest.mark.parametrize("wall", [0.5, 0.65, 1.15])
@@ -124,8 +126,8 @@ def test_walls_in_the_shade_are_told_as_those_in_the_light(wall: float):
     side = drawn_side(wall, off_px)
     looks = _likeliest_looks(side, tuple(share * WIDTH for share in (1.0, 0.8, 0.6)), WIDTH, 20.0)
     assert looks is not None
-    assert looks[1] == pytest.approx(wall, abs=0.08)
-    assert np.median(_fitted(side, WIDTH, *looks)[1]) == pytest.approx(off_px, abs=0.15)
+    assert looks.tone == pytest.approx(wall, abs=0.08)
+    assert np.median(fit_parts(side, looks)[1]) == pytest.approx(off_px, abs=0.15)
 
 
 @pytest.mark.parametrize("width", [0.003, 0.006])
@@ -135,4 +137,4 @@ def test_thin_joints_that_are_thought_too_wide_have_no_walls_in_the_light(width:
     fit = fit_of(scene, width, DARK, REACH)
     too_wide = replace(fit, strip=replace(fit.strip, width=(1.25 * fit.strip.width[0], fit.strip.width[1])))
     assert too_wide.strip.width[0] > 1.5 * width
-    assert not beside_lit_walls(too_wide).rimmed.any()
+    assert not beside_lit_sides(too_wide).rimmed.any()

@@ -288,7 +288,7 @@ def test_a_camera_that_misses_a_handful_of_joints_fewer_is_no_word_against_the_g
         distances[:count] = 100.0
         rows = {"stations": right.stations, "profiles": right.profiles, "offsets": right.offsets}
         rows |= {"usable": np.ones(len(distances), bool), "sigma_px": right.sigma_px}
-        rows |= {"solution": right.solution, "rimmed": right.rimmed}
+        rows |= {"solution": right.solution, "rimmed": right.rimmed, "bevel": right.bevel}
         return replace(fit, distances_px=distances, **rows)
 
     monkeypatch.setattr(camera_check, "_fits_with_free_camera", lambda *asked: [missing(other, 2)])
@@ -301,7 +301,9 @@ def of_stations(fit: Fit, rows: np.ndarray) -> Fit:
     offsets = replace(fit.offsets, **{k: v[rows] for k, v in vars(fit.offsets).items()})
     told = fit.solution
     solution = replace(told, distances_px=told.distances_px[rows], jacobian=told.jacobian[rows])
-    own = {name: getattr(fit, name)[rows] for name in ("distances_px", "sigma_px", "usable", "rimmed")}
+    own = {
+        name: getattr(fit, name)[rows] for name in ("distances_px", "sigma_px", "usable", "rimmed", "bevel")
+    }
     return replace(
         fit,
         stations=fit.stations.take(rows),

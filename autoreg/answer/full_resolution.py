@@ -16,7 +16,7 @@ from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal
 from autoreg.fitting.bare_steps import from_near_rims
 from autoreg.fitting.fit import Fit
-from autoreg.fitting.lit_walls import beside_lit_walls
+from autoreg.fitting.lit_sides import beside_lit_sides
 from autoreg.fitting.one_edge import met_at_one_edge, with_both_edges
 from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
 from autoreg.ground.sides import ALONG_X, ALONG_Y
@@ -129,7 +129,7 @@ def measured_slabs(
 
 def from_what_shows(fit: Fit) -> Fit:
     """The fit with joints of which near slabs or light walls hide a part measured by what is left of them."""
-    return beside_lit_walls(from_near_rims(fit))
+    return beside_lit_sides(from_near_rims(fit))
 
 
 def _bowed(fit: Fit) -> Refusal | None:

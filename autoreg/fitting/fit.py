@@ -32,7 +32,7 @@ class Fit:
 
     `weight` is each station's robust weight (0 to 1), `sigma_px` its expected scatter: measurement and the
     slabs' own irregularity together. What is `rimmed` was measured from its near slab's rim, by a width that
-    other joints told.
+    other joints told, or up to the outer edge of a `bevel` in the light, so wide on the ground (else zero).
     """
 
     camera: Camera
@@ -48,6 +48,7 @@ class Fit:
     solution: Solution
     free: Free
     rimmed: Bool[np.ndarray, " n"]
+    bevel: Float[np.ndarray, " n"]
 
     @property
     def weight(self) -> Float[np.ndarray, " n"]:

@@ -226,6 +226,7 @@ def _round(
             solution=solution,
             free=free,
             rimmed=np.zeros(len(stations), dtype=bool),
+            bevel=np.zeros(len(stations)),
         )
     return fit
 

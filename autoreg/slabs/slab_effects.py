@@ -55,6 +55,9 @@ RIMMED_TOGETHER = 0.05
 # lower than the slabs. On ray-traced pavings with bevels of 1.5 to 4 mm joints lie 0.1 of it aside (median;
 # one in ten by 0.5), on those with sawn rims 0.04.
 RIM_ASIDE, RIM_BELOW = 0.05, 0.06
+# Joints that were measured to the outer edges of bevels in the light still lie aside by such a share of them,
+# and the others of the photo, whose bevels do not show, by such a share; all lie lower than the slabs.
+SEEN_ASIDE, UNSEEN_ASIDE, BEVEL_BELOW = 0.3, 0.7, 0.4
 # Combinations of effects that are this small beside the largest are left out.
 LEAST_EFFECT = 0.005
 # What tells that joints look narrower aslant: so many of them, whose widths differ by such a share among
@@ -196,12 +199,19 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
 
 
 def rim_effects(joints: MeasuredJoints) -> Float[np.ndarray, "k 3"]:
-    """Pixels by which joints lie aside, family by family, and lower than the slabs, with bevelled rims."""
+    """Pixels by which joints lie aside, family by family, and lower than the slabs, with bevelled rims.
+
+    Where bevels of some joints were seen, the others have them as well.
+    """
     fit, full = joints.fit, _full_width_px(joints)
-    family, bare = fit.stations.family[joints.rows], without_joints(fit)
+    family, bare, bevel = fit.stations.family[joints.rows], without_joints(fit), fit.bevel[joints.rows]
     full = np.where(np.isin(family, bare), 0.0, full)
-    aside = [RIM_ASIDE * full * (family == own) for own in (ALONG_X, ALONG_Y)]
-    return joints.middles_only(np.stack([*aside, RIM_BELOW * full * _slope(joints)], 1))
+    wide = float(bevel.max(initial=0.0)) * joints.px_per_unit
+    aside = np.where(bevel > 0, SEEN_ASIDE * wide, np.maximum(RIM_ASIDE * full, UNSEEN_ASIDE * wide))
+    own = np.stack([aside * (family == each) for each in (ALONG_X, ALONG_Y)], 1)
+    seen = (bevel > 0)[:, None]
+    below = np.maximum(RIM_BELOW * full, BEVEL_BELOW * wide) * _slope(joints)
+    return joints.middles_only(np.column_stack([own * seen, own * ~seen, below]))
 
 
 def _wall_shapes(steep: Float[np.ndarray, " n"], blurs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n r"]:

@@ -1,0 +1,132 @@
+"""Strips of three parts: a dark joint, and beside it what of one slab's rim or wall is in the light.
+
+Across such a joint follow one slab's tone, that of the bed and of what lies in shadow, that of the part in
+the light, which is as light as the slabs or lighter, and the other slab's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from autoreg.fitting.fit import Fit
+from autoreg.joints.strips import edge, single
+
+# Places that are tried, from where a strip of one tone was found: as far as this share of the width and so
+# many pixels, in so many steps either way.
+FARTHEST, FARTHEST_PX, STEPS = 0.6, 0.5, 12
+# Roughness of slabs that no profile is without, as a share of their tone.
+ROUGH = 0.02
+# Keeps tones of parts that are hidden finite.
+RIDGE = 1e-3
+
+
+class Parts(NamedTuple):
+    """How a joint of such a width divides.
+
+    In the light is a share of it, `level`, and so much more, `height`, for every unit of the slope of the
+    view. `tone` is that of the part in the light against the slabs'.
+    """
+
+    width: float
+    level: float = 0.0
+    height: float = 0.0
+    tone: float = 1.0
+
+
+@dataclass(frozen=True)
+class Side:
+    """Profiles across the joints of one family, towards the slabs whose rims may be in the light.
+
+    `away_px` are the samples' places from where the joints were found, `tones` their grey levels in those of
+    the slabs. The `slope` is positive where those slabs are the far ones.
+    """
+
+    away_px: Float[np.ndarray, "n p"]
+    tones: Float[np.ndarray, "n p"]
+    weight: Float[np.ndarray, "n p"]
+    px_per_unit: Float[np.ndarray, " n"]
+    slope: Float[np.ndarray, " n"]
+    blur_px: float
+
+    def take(self, rows: Int[np.ndarray, " k"]) -> Side:
+        """Some of the joints."""
+        return replace(
+            self,
+            away_px=self.away_px[rows],
+            tones=self.tones[rows],
+            weight=self.weight[rows],
+            px_per_unit=self.px_per_unit[rows],
+            slope=self.slope[rows],
+        )
+
+    def widest(self, most: int) -> Side:
+        """So many of the joints that show their parts best.
+
+        Every other one of these, where there are more, so that they are not all of the same slabs.
+        """
+        order = np.argsort(-self.px_per_unit, kind="stable")
+        return self.take(np.sort(order[: 2 * most : 2 if len(order) > most else 1]))
+
+
+def side_of(
+    fit: Fit, rows: Int[np.ndarray, " n"], way: float, slope: Float[np.ndarray, " s"], width: float
+) -> Side:
+    """The profiles of some stations, along their normals or against them, as far as such joints reach."""
+    profiles, blur = fit.profiles.take(rows), fit.strip.blur_px
+    away = way * (profiles.at_px - fit.offsets.offset_px[rows][:, None])
+    reach = 0.5 * width * profiles.px_per_unit + 3.0 * blur + 2.0
+    weight = np.clip(reach[:, None] + 0.5 - np.abs(away), 0.0, 1.0)
+    weight *= np.abs(profiles.at_px) <= profiles.room_px[:, None]
+    values = profiles.values.astype(float)
+    level = (weight * values).sum(1) / weight.sum(1)
+    some = (weight > 0).any(0)
+    return Side(
+        away[:, some],
+        values[:, some] / level[:, None],
+        weight[:, some],
+        profiles.px_per_unit,
+        way * slope[rows],
+        blur,
+    )
+
+
+def fit_parts(side: Side, parts: Parts) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Logarithm of each profile's unexplained variance, and the place at which least is left.
+
+    The tones of both slabs and of the dark part are free, that of the part in the light is a multiple of the
+    slabs' mean.
+    """
+    width, level, height, tone = parts
+    blur, wide = side.blur_px, width * side.px_per_unit
+    every = (FARTHEST * wide + FARTHEST_PX) / STEPS
+    places = every[:, None] * np.arange(-STEPS, STEPS + 1)
+    at = (side.away_px[:, None, :] - places[..., None]) / blur
+    edges = wide[:, None, None] / blur
+    lit = np.clip(level + height * side.slope, 0.0, 1.0)[:, None, None]
+    near, far = (edge(single(at + way * 0.5 * edges))[0] for way in (1.0, -1.0))
+    lit_begins = edge(single(at - (0.5 - lit) * edges))[0] if level or height else far
+    shared = np.float32(0.5 * tone) * (lit_begins - far)
+    # What each tone, beyond that of the slabs on the whole, adds to a profile.
+    tones = np.stack([1.0 - near + shared, far + shared, near - lit_begins], -2)
+    lighter = np.float32(tone - 1.0) * (lit_begins - far)
+    left = single(side.tones - 1.0)[:, None, :] - lighter
+    weighted = tones * single(side.weight)[:, None, None, :]
+    normal = (weighted @ tones.swapaxes(-1, -2)).astype(float)
+    samples = side.weight.sum(1)
+    normal[..., range(3), range(3)] += RIDGE * samples[:, None, None]
+    right = (weighted @ left[..., None]).astype(float)
+    explained = (right * np.linalg.solve(normal, right)).sum((-2, -1))
+    total = np.einsum("np,nkp,nkp->nk", single(side.weight), left, left).astype(float)
+    squares = np.maximum(total - explained, 0.0) / samples[:, None]
+    best = np.clip(squares.argmin(1), 1, 2 * STEPS - 1)
+    rows = np.arange(len(best))
+    before, least, after = (squares[rows, best + k] for k in (-1, 0, 1))
+    bend = before - 2.0 * least + after
+    beyond = np.where(bend > 0, 0.5 * (before - after) / np.where(bend > 0, bend, 1.0), 0.0)
+    beyond = np.clip(beyond, -1.0, 1.0)
+    least = least - 0.25 * (before - after) * beyond
+    return np.log(np.maximum(least, 0.0) + ROUGH**2), every * (best - STEPS + beyond)

@@ -1,0 +1,102 @@
+"""Joints between bevelled or worn rims, of which one is in the light beside the dark part.
+
+A bevel that faces the sun is lighter than the slab; on the other side of the joint the bevel is dark, and
+between them the bed is. A strip of one tone takes the dark parts for the whole joint, and lies aside by half
+of the bevel in the light. Nothing but that bevel tells: it is what looks lighter than the slabs beside the
+dark strip. How wide it is, and how light, tell all joints of a family together that show it on their far
+side; where it is on the near side it is seen flatly. The middles lie between its outer edge and the other
+slab's rim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from autoreg.fitting.joint_parts import Parts, Side, fit_parts
+from autoreg.joints.joint_looks import Strip
+from autoreg.joints.strips import INDEPENDENT
+
+# What is tried: widths of the whole joint, as multiples of its dark part's; shares of it that the bevel takes
+# up from above, as deep as it is wide; and the bevel's tone against the slabs'. At first these of them.
+WIDER = (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6)
+SHARES = (0.1, 0.15, 0.2, 0.25, 0.35, 0.45, 0.55, 0.65)
+TONES = (1.1, 1.15, 1.22, 1.3, 1.45, 1.6)
+AT_FIRST = ((1.4, 0.25, 1.1), (1.8, 0.25, 1.22), (2.0, 0.35, 1.1))
+WIDEST = WIDER[-1]
+# So many joints tell them, at least and at most, that are so many blurs wide.
+FEWEST, SAMPLE, LEAST_BLURS = 12, 60, 1.5
+# A bevel must make joints so much likelier than one tone does, and than walls do. Where it makes them less
+# likely at first, no others are tried.
+LEAST_NATS, LEAST_NATS_WALLS, HOPELESS_NATS = 20.0, 15.0, 0.0
+# What is wider than this share of a slab's side is no bevel, but rough or sloping stone.
+MOST_OF_SIDE = 0.04
+# Without bevels joints may be as wide as this, as shares of the width that a strip fits to all of them ...
+AS_WIDE = (0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.8)
+# ... or wider by such a factor, with walls lit so high, of such tones.
+OF_WALLS = ((1.0, 1.2, 1.4, 1.7), (0.3, 0.5, 0.8, 1.2), (0.8, 0.95, 1.05, 1.1, 1.2, 1.3))
+WALLS_AT_FIRST = ((1.4, 0.5, 0.8), (1.2, 0.5, 1.1), (1.4, 0.8, 1.3))
+
+
+def bevelled(
+    side: Side, strip: Strip, family: int, across: float, wall: Parts | None
+) -> tuple[float, Parts] | None:
+    """How wide and how light the far slabs' bevels are, and by how much likelier; None if none show.
+
+    They are held against joints of one tone, and against walls in the light: as they are known from others,
+    and of any look. `across` is the side of a slab across the joints.
+    """
+    own = strip.width[family]
+    wide = np.flatnonzero((own * side.px_per_unit > LEAST_BLURS * side.blur_px) & (side.slope > 0))
+    if strip.polarity[family] > 0 or len(wide) < FEWEST:
+        return None
+    side = side.take(wide).widest(SAMPLE)
+    values = 0.5 * INDEPENDENT * side.weight.sum(1)
+
+    @cache
+    def nats(parts: Parts) -> float:
+        return -float(values @ fit_parts(side, parts)[0])
+
+    def bevel(wider: float, share: float, tone: float) -> Parts:
+        return Parts(wider * own, share, share, tone)
+
+    def any_wall(wider: float, height: float, tone: float) -> Parts:
+        return Parts(wider * own, 0.0, height, tone)
+
+    first = max((bevel(*looks) for looks in AT_FIRST), key=nats)
+    if nats(first) - nats(wall or Parts(own)) < HOPELESS_NATS:
+        return None
+    found = _likeliest(nats, bevel, (WIDER, SHARES, TONES), AT_FIRST)
+    others = [Parts(share * own) for share in AS_WIDE] + ([] if wall is None else [wall])
+    plain = max(map(nats, others))
+    if nats(found) - plain < LEAST_NATS or found.level * found.width > MOST_OF_SIDE * across:
+        return None
+    likelier = nats(found) - max(plain, nats(_likeliest(nats, any_wall, OF_WALLS, WALLS_AT_FIRST)))
+    return None if likelier < LEAST_NATS_WALLS else (likelier, found)
+
+
+def _likeliest(
+    nats: Callable[[Parts], float],
+    parts: Callable[..., Parts],
+    tried: tuple[tuple[float, ...], ...],
+    first: tuple[tuple[float, ...], ...],
+) -> Parts:
+    """The likeliest parts: climbs from the best of a few looks over the values that are `tried`."""
+
+    def look(place: tuple[int, ...]) -> Parts:
+        return parts(*(values[k] for values, k in zip(tried, place, strict=True)))
+
+    def likelihood(place: tuple[int, ...]) -> float:
+        return nats(look(place))
+
+    starts = [tuple(values.index(v) for values, v in zip(tried, looks, strict=True)) for looks in first]
+    best = max(starts, key=likelihood)
+    while True:
+        around = (range(max(k - 1, 0), min(k + 2, len(v))) for k, v in zip(best, tried, strict=True))
+        better = max(product(*around), key=likelihood)
+        if likelihood(better) <= likelihood(best):
+            return look(best)
+        best = better

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from paved import CAMERA
+from sunk_joints import SUNK, fit_of, nearer
+
+from autoreg.fitting.bare_steps import across_slope
+from autoreg.fitting.fit import Fit
+from autoreg.fitting.joint_parts import Parts, side_of
+from autoreg.fitting.lit_bevels import WIDEST, bevelled
+from autoreg.fitting.lit_sides import beside_lit_sides
+from autoreg.ground.sides import ALONG_X, ALONG_Y
+from autoreg.slabs.measured_joints import measured_joints
+from autoreg.slabs.slab_effects import rim_effects
+from autoreg.synthetic import SyntheticScene, look_at_ground
+
+WIDTH, CHAMFER, DARK, REACH = 0.006, 0.004, (-1, -1), 5.0
+# Joints between bevelled slabs, seen from above; the sun stands low behind the camera and lights far bevels.
+BEVELLED = replace(
+    SUNK,
+    camera=CAMERA,
+    cam_from_ground=look_at_ground(pitch_deg=60.0, height_m=1.2, roll_deg=2.0, foot_m=(0.2, 0.1)),
+    joint_width_m=WIDTH,
+    joint_depth_m=0.012,
+    chamfer_m=CHAMFER,
+    sun_elevation_rad=np.deg2rad(25.0),
+    sky_light=0.2,
+    tone_spread=0.04,
+    noise_grey=0.7,
+)
+
+
+def moved_share(scene: SyntheticScene) -> tuple[Fit, float, float]:
+    """The fit beside lit sides, and where the joints along X lay before and lie now, in widths nearer."""
+    fit = fit_of(scene, WIDTH, DARK, REACH)
+    measured = beside_lit_sides(fit)
+    return measured, nearer(fit, scene), nearer(measured, scene)
+
+
+@pytest.mark.parametrize("elevation_deg", [25.0, pytest.param(40.0, marks=pytest.mark.slow)])
+def test_joints_lie_between_the_outer_edges_of_their_bevels(elevation_deg: float):
+    scene = replace(BEVELLED, sun_elevation_rad=np.deg2rad(elevation_deg))
+    measured, was, now = moved_share(scene)
+    assert was > 0.25
+    assert abs(now) < 0.12
+    along = measured.stations.family == ALONG_X
+    assert (measured.bevel[along & measured.usable] > 0).all()
+    assert not measured.bevel[measured.stations.family == ALONG_Y].any()
+    assert measured.bevel.max() == pytest.approx(CHAMFER, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"chamfer_m": 0.0, "joint_depth_m": 0.0},
+        # Sawn slabs, whose walls are in the light.
+        {"chamfer_m": 0.0},
+        # Under the open sky alone all bevels are darker than the slabs.
+        {"sky_light": 1.0},
+    ],
+)
+def test_joints_without_bevels_in_the_light_have_none(changed: dict[str, float]):
+    fit = fit_of(replace(BEVELLED, **changed), WIDTH, DARK, REACH)  # type: ignore[arg-type]
+    assert not beside_lit_sides(fit).bevel.any()
+
+
+def test_bevels_are_narrow_beside_their_slabs():
+    fit = fit_of(BEVELLED, WIDTH, DARK, REACH)
+    rows, slope = np.flatnonzero(fit.usable & (fit.stations.family == ALONG_X)), across_slope(fit)
+    way = float(np.sign(np.median(slope[rows])))
+    side = side_of(fit, rows, way, slope, WIDEST * fit.strip.width[ALONG_X])
+    found = bevelled(side, fit.strip, ALONG_X, 0.3, None)
+    assert found is not None
+    assert bevelled(side, fit.strip, ALONG_X, 0.05, None) is None
+    light = replace(fit.strip, polarity=(1, -1))
+    assert bevelled(side, light, ALONG_X, 0.3, None) is None
+    # What is known of walls that would look the same leaves nothing for bevels.
+    assert bevelled(side, fit.strip, ALONG_X, 0.3, Parts(*found[1])) is None
+
+
+def test_what_bevels_were_seen_says_how_far_the_other_joints_may_lie_aside():
+    fit = fit_of(BEVELLED, WIDTH, DARK, REACH)
+    measured = beside_lit_sides(fit)
+    rows = np.flatnonzero(measured.usable)
+    along = measured.stations.family[rows] == ALONG_X
+
+    def aside(one: Fit, some: np.ndarray) -> float:
+        effects = rim_effects(measured_joints(one, rows))[: len(rows), :-1]
+        return float(np.median(np.abs(effects[some]).sum(1) / one.profiles.px_per_unit[rows][some]))
+
+    assert aside(measured, ~along) > 2.0 * aside(measured, along)
+    assert aside(measured, ~along) > 2.0 * aside(fit, ~along)
+    assert aside(measured, along) > aside(fit, along)
