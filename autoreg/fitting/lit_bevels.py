@@ -3,7 +3,8 @@
 A bevel that faces the sun is lighter than the slab; on the other side of the joint the bevel is dark, and
 between them the bed is. A strip of one tone takes the dark parts for the whole joint, and lies aside by half
 of the bevel in the light. Nothing but that bevel tells: it is what looks lighter than the slabs beside the
-dark strip. How wide it is, and how light, tell all joints of a family together that show it on their far
+dark strip. Or the bed is light, and the bevel beside it in the shade: dark and light together look like a
+step. How wide it is, and how light, tell all joints of a family together that show it on their far
 side; where it is on the near side it is seen flatly. The middles lie between its outer edge and the other
 slab's rim.
 """
@@ -21,24 +22,25 @@ from autoreg.joints.joint_looks import Strip
 from autoreg.joints.strips import INDEPENDENT
 
 # What is tried: widths of the whole joint, as multiples of its dark part's; shares of it that the bevel takes
-# up from above, as deep as it is wide; and the bevel's tone against the slabs'. At first these of them.
+# up from above, as deep as it is wide; and the bevel's tone against the slabs'.
 WIDER = (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6)
 SHARES = (0.1, 0.15, 0.2, 0.25, 0.35, 0.45, 0.55, 0.65)
-TONES = (1.1, 1.15, 1.22, 1.3, 1.45, 1.6)
-AT_FIRST = ((1.4, 0.25, 1.1), (1.8, 0.25, 1.22), (2.0, 0.35, 1.1))
+LIGHT, DARK = (1.1, 1.15, 1.22, 1.3, 1.45, 1.6), (0.5, 0.6, 0.7, 0.8, 0.9)
+# At first these of them, for bevels in the light and in the shade.
+LIGHT_FIRST = ((1.4, 0.25, 1.1), (1.8, 0.25, 1.22), (2.0, 0.35, 1.1))
+DARK_FIRST = ((1.4, 0.25, 0.8), (1.8, 0.25, 0.6), (2.0, 0.35, 0.8))
 WIDEST = WIDER[-1]
 # So many joints tell them, at least and at most, that are so many blurs wide.
 FEWEST, SAMPLE, LEAST_BLURS = 12, 60, 1.5
-# A bevel must make joints so much likelier than one tone does, and than walls do. Where it makes them less
-# likely at first, no others are tried.
-LEAST_NATS, LEAST_NATS_WALLS, HOPELESS_NATS = 20.0, 15.0, 0.0
+# A bevel must make joints so much likelier than one tone does, and than walls do.
+LEAST_NATS, LEAST_NATS_WALLS = 20.0, 15.0
 # What is wider than this share of a slab's side is no bevel, but rough or sloping stone.
 MOST_OF_SIDE = 0.04
 # Without bevels joints may be as wide as this, as shares of the width that a strip fits to all of them ...
 AS_WIDE = (0.6, 0.7, 0.8, 0.9, 1.0, 1.15, 1.3, 1.5, 1.8)
 # ... or wider by such a factor, with walls lit so high, of such tones.
-OF_WALLS = ((1.0, 1.2, 1.4, 1.7), (0.3, 0.5, 0.8, 1.2), (0.8, 0.95, 1.05, 1.1, 1.2, 1.3))
-WALLS_AT_FIRST = ((1.4, 0.5, 0.8), (1.2, 0.5, 1.1), (1.4, 0.8, 1.3))
+OF_WALLS = ((1.0, 1.2, 1.4, 1.7), (0.3, 0.5, 0.8, 1.2), (0.5, 0.6, 0.7, 0.8, 0.95, 1.05, 1.1, 1.2, 1.3))
+WALLS_AT_FIRST = ((1.4, 0.5, 0.8), (1.4, 0.8, 0.6), (1.2, 0.5, 1.1), (1.4, 0.8, 1.3))
 
 
 def bevelled(
@@ -66,10 +68,17 @@ def bevelled(
     def any_wall(wider: float, height: float, tone: float) -> Parts:
         return Parts(wider * own, 0.0, height, tone)
 
-    first = max((bevel(*looks) for looks in AT_FIRST), key=nats)
-    if nats(first) - nats(wall or Parts(own)) < HOPELESS_NATS:
+    looks = [(LIGHT, LIGHT_FIRST)] + ([] if strip.polarity[family] else [(DARK, DARK_FIRST)])
+    # Where bevels make the joints less likely at first, no others are tried.
+    expected = nats(wall or Parts(own))
+    bevels = [
+        _likeliest(nats, bevel, (WIDER, SHARES, tones), first)
+        for tones, first in looks
+        if max(nats(bevel(*look)) for look in first) > expected
+    ]
+    if not bevels:
         return None
-    found = _likeliest(nats, bevel, (WIDER, SHARES, TONES), AT_FIRST)
+    found = max(bevels, key=nats)
     others = [Parts(share * own) for share in AS_WIDE] + ([] if wall is None else [wall])
     plain = max(map(nats, others))
     if nats(found) - plain < LEAST_NATS or found.level * found.width > MOST_OF_SIDE * across:

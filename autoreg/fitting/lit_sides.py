@@ -59,7 +59,8 @@ def _walled(
     seen = rows[way * slope[rows] > LEAST_SLOPE]
     if not len(seen):
         return None
-    return walled(side_of(fit, seen, way, slope, width), fit.strip, fit.stations.family[seen[0]], width)
+    family = int(fit.stations.family[seen[0]])
+    return walled(side_of(fit, seen, way, slope, width), fit.strip, family, width)
 
 
 def _bevelled(
