@@ -198,10 +198,10 @@ def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     return joints.middles_only(effects @ _main_axes(effects))
 
 
-def rim_effects(joints: MeasuredJoints) -> Float[np.ndarray, "k 3"]:
+def rim_effects(joints: MeasuredJoints) -> Float[np.ndarray, "k 5"]:
     """Pixels by which joints lie aside, family by family, and lower than the slabs, with bevelled rims.
 
-    Where bevels of some joints were seen, the others have them as well.
+    Where bevels of some joints were seen, the others have them too; what those still lie aside comes last.
     """
     fit, full = joints.fit, _full_width_px(joints)
     family, bare, bevel = fit.stations.family[joints.rows], without_joints(fit), fit.bevel[joints.rows]
@@ -211,7 +211,7 @@ def rim_effects(joints: MeasuredJoints) -> Float[np.ndarray, "k 3"]:
     own = np.stack([aside * (family == each) for each in (ALONG_X, ALONG_Y)], 1)
     seen = (bevel > 0)[:, None]
     below = np.maximum(RIM_BELOW * full, BEVEL_BELOW * wide) * _slope(joints)
-    return joints.middles_only(np.column_stack([own * seen, own * ~seen, below]))
+    return joints.middles_only(np.column_stack([own * ~seen, below, own * seen]))
 
 
 def _wall_shapes(steep: Float[np.ndarray, " n"], blurs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n r"]:
