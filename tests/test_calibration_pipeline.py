@@ -136,6 +136,7 @@ def test_a_good_set_is_good_and_a_poor_one_says_why():
     assert poor.verdict.advice
 
 
+@pytest.mark.slow
 def test_a_bent_sheet_is_a_reason_and_its_shape_can_be_estimated():
     places = bent_points(BOARD, (0.03, 0.01, -0.02))
     rng = np.random.default_rng(0)

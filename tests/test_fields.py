@@ -262,7 +262,12 @@ def test_the_answer_is_the_larger_field(two_fields: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "answered"), [("no_lattice", True), ("not_ground", True), ("camera_contradicted", False)]
+    ("code", "answered"),
+    [
+        ("no_lattice", True),
+        pytest.param("not_ground", True, marks=pytest.mark.slow),
+        ("camera_contradicted", False),
+    ],
 )
 def test_where_the_larger_field_is_refused_the_other_is_the_answer(
     two_fields: np.ndarray, monkeypatch: pytest.MonkeyPatch, code: str, answered: bool

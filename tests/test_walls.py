@@ -71,7 +71,9 @@ def test_a_wall_behind_bare_ground_is_refused_though_the_camera_was_rolled():
     assert refused.value.code == "not_ground"
 
 
-@pytest.mark.parametrize("camera", [CAMERA, None], ids=["camera", "no camera"])
+@pytest.mark.parametrize(
+    "camera", [CAMERA, pytest.param(None, marks=pytest.mark.slow)], ids=["camera", "no camera"]
+)
 def test_a_wall_that_the_camera_looks_down_on_is_no_floor_seen_upside_down(camera: Camera | None):
     photo = wall_beyond(stones(), bricks(), rolled(32.0), 3.0)
     with pytest.raises(Refusal):
