@@ -252,7 +252,7 @@ def test_motion_and_likelihood_are_those_of_a_dense_solution_with_all_effects_me
     values: list[tuple[float, float]] = []
     for together in (1.0, 3.0):
         model.factor(sizes._replace(together=together))
-        for relief, (value, moved, covariance) in zip(RELIEFS, model.solve(), strict=True):
+        for relief, value, moved, covariance in zip(RELIEFS, *model.solve(), strict=True):
             size = np.ones(len(model.columns[0]) - 1)
             for mask, own in (
                 (model.relief, relief),

@@ -251,10 +251,10 @@ class SlabEquations:
         logdet = np.linalg.slogdet(H[np.ix_(first, first)])[1] - np.log(shrunk).sum(1)
         return _Normal(-0.5 * (left + self.logdet + logdet), x * size * sizes, covariance)
 
-    def solve(self) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    def solve(self) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r p"], Float[np.ndarray, "r p p"]]:
         """Restricted log likelihood, scaled motion and its covariance, for each size of the relief."""
-        normal, p = self._normal(np.array(RELIEFS)), len(self.free)
-        return [(float(v), x[:p], C) for v, x, C in zip(*normal, strict=True)]
+        normal = self._normal(np.array(RELIEFS))
+        return normal.value, normal.x[:, : len(self.free)], normal.covariance
 
     def evidence(self, sizes: Sizes) -> dict[float, float]:
         """Restricted log likelihood for each size of the relief."""

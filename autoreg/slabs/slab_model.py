@@ -21,6 +21,7 @@ generalised least squares.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -45,6 +46,8 @@ NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0), ()), ((0.85, 1.18),
 # each is beforehand: chamfers, worn rims and deep shadows do more than the plain walls that the usual is of.
 # What of it changes with the slope of the view shows in the residuals; what does not goes with it.
 TIMES_TOGETHER = {1.0: 0.65, 2.0: 0.2, 4.0: 0.1, 8.0: 0.05}
+USUAL = list(TIMES_TOGETHER).index(1.0)
+FLAT = RELIEFS.index(0.0)
 # Factors of the likeliest place's size over which the answer is averaged, from it downwards and upwards, and
 # by how much less likely one is that no longer counts, nor do those beyond.
 LIKELY, NEGLIGIBLE_NATS = ((1.0, 0.75, 0.55), (1.33, 1.8)), 9.0
@@ -98,6 +101,14 @@ class Estimate:
     scatter: Scatter
 
 
+class _Likely(NamedTuple):
+    """Log likelihood, motion and covariance by sizes of the place, of what is common, and of the relief."""
+
+    value: Float[np.ndarray, "k t r"]
+    motion: Float[np.ndarray, "k t r p"]
+    covariance: Float[np.ndarray, "k t r p p"]
+
+
 def estimate_motion(
     fit: Fit,
     mask: Float[np.ndarray, " p"],
@@ -135,24 +146,22 @@ def estimate_motion(
             model.begin_anew()
     for _ in range(2):
         model.reweigh(sizes, relief)
-    found = _likely(model, sizes)
-    value, moved, inner = (np.array(each) for each in zip(*found, strict=True))
-    weight = _weights(value)
+    likely = _likely(model, sizes)
+    weight = _weights(likely.value)
     # Odd joints that are let lie off by more let the pose follow them: it is that of usual ones.
-    usual = np.arange(len(value)) // len(RELIEFS) % len(TIMES_TOGETHER) == 0
-    mean = _weights(value[usual]) @ moved[usual]
+    usual, motions = likely.value[:, USUAL], likely.motion[:, USUAL]
+    mean = np.tensordot(_weights(usual), motions, 2)
     # What differs between likely scatters is uncertainty too; it matters where slabs are few.
-    away = moved - mean
-    inner = inner + away[:, :, None] * away[:, None, :]
-    flat = np.arange(len(value)) % len(RELIEFS) == 0
-    by_relief = mean - _weights(value[usual & flat]) @ moved[usual & flat]
-    sunk = 1.0 - float(weight[flat].sum())
+    away = likely.motion - mean
+    inner = likely.covariance + away[..., :, None] * away[..., None, :]
+    by_relief = mean - np.tensordot(_weights(usual[:, FLAT]), motions[:, FLAT], 1)
+    sunk = 1.0 - float(weight[..., FLAT].sum())
     misfit = _misfit(model, sizes, relief, sunk) if near is None else near.misfit
-    spread = np.tensordot(weight, inner, 1) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
+    spread = np.tensordot(weight, inner, 3) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
     (parameters, relieved), covariance = np.zeros((2, MOTION)), np.zeros((MOTION, MOTION))
     parameters[model.free], relieved[model.free] = mean * model.unit, by_relief * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
-    relief = RELIEFS[int(value.argmax()) % len(RELIEFS)]
+    relief = RELIEFS[int(likely.value.argmax()) % len(RELIEFS)]
     scatter = _scatter_of(sizes, fit.grid.slab_side, relief, misfit)
     return Estimate(parameters, relieved, covariance, scatter)
 
@@ -166,32 +175,32 @@ def _misfit(model: SlabEquations, sizes: Sizes, relief: float, sunk: float) -> f
     return 1.0 + (MISFIT - 1.0) * sunk / (1.0 + aside**2)
 
 
-def _weights(value: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+def _weights(value: Float[np.ndarray, "*k"]) -> Float[np.ndarray, "*k"]:
     """Probabilities of scatters whose log likelihoods these are."""
     weight = np.exp(value - value.max())
     return weight / weight.sum()
 
 
-def _likely(model: SlabEquations, sizes: Sizes) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """Log likelihood, motion and covariance, relief by relief, by scatters of about the likeliest size.
+def _likely(model: SlabEquations, sizes: Sizes) -> _Likely:
+    """What scatters of about the likeliest size of the place say.
 
     Whatever is common to a family is gone through as well, within each size of the place.
     """
-    found: list[tuple[float, np.ndarray, np.ndarray]] = []
+    found: list[_Likely] = []
     best = -np.inf
     for way in LIKELY:
         for factor in way:
-            likelihood = -np.inf
+            solved: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
             for together, likely in TIMES_TOGETHER.items():
                 model.factor(sizes._replace(place=factor * sizes.place, together=together))
-                for value, moved, covariance in model.solve():
-                    value += float(np.log(likely))
-                    found.append((value, moved, covariance))
-                    likelihood = max(likelihood, value)
+                value, motion, covariance = model.solve()
+                solved.append((value + np.log(likely), motion, covariance))
+            found.append(_Likely(*map(np.stack, zip(*solved, strict=True))))
+            likelihood = float(found[-1].value.max())
             best = max(best, likelihood)
             if likelihood < best - NEGLIGIBLE_NATS:
                 break
-    return found
+    return _Likely(*map(np.stack, zip(*found, strict=True)))
 
 
 def _sizes_of(scatter: Scatter, side: float) -> Sizes:
