@@ -17,6 +17,7 @@ from autoreg.fitting.one_edge import MOST, _as_seen, met_at_one_edge, one_edge, 
 from autoreg.fitting.refine import refine
 from autoreg.ground.sides import Grid
 from autoreg.joints.joint_looks import Strip
+from autoreg.slabs.slab_effects import RIM_BELOW
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
 
@@ -168,4 +169,5 @@ def test_what_crosses_wide_joints_does_not_bias_uneven_slabs():
     found = autoreg.align(wide.pixels, wide.camera, slab=(0.2, 0.1))
     height = found.pose.cam_from_ground.origin_in_a[2] / pose.origin_in_a[2]
     assert height == pytest.approx(1.0, abs=0.0007)
-    assert found.pose.sigma_height < 0.001
+    # Rims that may be bevelled leave more unknown of joints so wide than these slabs do.
+    assert found.pose.sigma_height < np.hypot(0.001, RIM_BELOW * 0.02)
