@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 from drawn_joints import PLAIN
 from paved import POSE_ALONE, gray_of
+from scipy.special import ndtr
 
 from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.fit import Fit
+from autoreg.fitting.joint_parts import Side
 from autoreg.fitting.refine import refine_until_still
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, Grid
@@ -47,3 +49,30 @@ def nearer(fit: Fit, scene: SyntheticScene) -> float:
     off = ((profiles.centre_px - true_px) * profiles.normal).sum(1) + fit.offsets.offset_px[rows]
     way = np.sign(across_slope(fit)[rows])
     return float(np.median(-way * off / (scene.joint_width_m * profiles.px_per_unit)))
+
+
+def drawn_side(
+    bed: float,
+    other: float,
+    off_px: float,
+    begins: np.ndarray,
+    slope: np.ndarray,
+    *,
+    half_px: float,
+    px_per_unit: float,
+    noise: float,
+) -> Side:
+    """Joints that lie so far beyond where they were found, with a bed of one tone and another part beside it.
+
+    That part `begins` at such places, in half widths from the middle.
+    """
+    n, blur_px = len(slope), 0.8
+    away = np.tile(np.arange(-8.0, 8.5, 0.5), (n, 1))
+
+    def beyond(edge_px: float | np.ndarray) -> np.ndarray:
+        return ndtr((away - off_px - edge_px) / blur_px)
+
+    near, inner, far = beyond(-half_px), beyond(half_px * begins[:, None]), beyond(half_px)
+    tones = 1.0 + (bed - 1.0) * near + (other - bed) * inner + (1.0 - other) * far
+    tones += np.random.default_rng(2).normal(0.0, noise, away.shape)
+    return Side(away, tones, np.ones_like(away), np.full(n, px_per_unit), slope, blur_px)

@@ -6,12 +6,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from paved import CAMERA
-from scipy.special import ndtr
-from sunk_joints import SUNK, fit_of, nearer
+from sunk_joints import SUNK, drawn_side, fit_of, nearer
 
 from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.fit import Fit
-from autoreg.fitting.joint_parts import Parts, Side, fit_parts, side_of
+from autoreg.fitting.joint_parts import Parts, fit_parts, side_of
 from autoreg.fitting.lit_bevels import WIDEST, bevelled
 from autoreg.fitting.lit_sides import beside_lit_sides
 from autoreg.ground.sides import ALONG_X, ALONG_Y
@@ -103,23 +102,11 @@ def test_what_bevels_were_seen_says_how_far_the_other_joints_may_lie_aside():
 def test_joints_half_dark_and_half_light_lie_between_their_outer_edges(
     bed: float, bevel: float, polarity: int
 ):
-    n, px_per_unit, off_px, blur_px = 60, 400.0, 0.5, 0.8
-    away = np.tile(np.arange(-10.0, 10.5, 0.5), (n, 1))
-    half_px, slope, rng = 0.5 * 0.01 * px_per_unit, np.linspace(0.05, 0.6, n), np.random.default_rng(3)
-    inner_px = (half_px * (0.2 - 0.8 * slope))[:, None]
-
-    def beyond(edge_px: float | np.ndarray) -> np.ndarray:
-        return ndtr((away - off_px - edge_px) / blur_px)
-
-    tones = (
-        1.0
-        + (bed - 1.0) * beyond(-half_px)
-        + (bevel - bed) * beyond(inner_px)
-        + (1.0 - bevel) * beyond(half_px)
+    off_px, slope = 0.5, np.linspace(0.05, 0.6, 60)
+    side = drawn_side(
+        bed, bevel, off_px, 0.2 - 0.8 * slope, slope, half_px=2.0, px_per_unit=400.0, noise=0.01
     )
-    tones += rng.normal(0.0, 0.01, away.shape)
-    side = Side(away, tones, np.ones_like(away), np.full(n, px_per_unit), slope, blur_px)
-    strip = Strip((0.006, 0.006), blur_px, (polarity, -1), polarity_known=True)
+    strip = Strip((0.006, 0.006), side.blur_px, (polarity, -1), polarity_known=True)
     found = bevelled(side, strip, ALONG_X, 0.3, None)
     assert found is not None
     assert found[1].tone == pytest.approx(bevel, abs=0.15)

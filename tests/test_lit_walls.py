@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from paved import CAMERA
-from scipy.special import ndtr
-from sunk_joints import SUNK, fit_of, nearer
+from sunk_joints import SUNK, drawn_side, fit_of, nearer
 
 from autoreg.fitting.bare_steps import across_slope
-from autoreg.fitting.joint_parts import Parts, Side, fit_parts
+from autoreg.fitting.joint_parts import Parts, fit_parts
 from autoreg.fitting.lit_sides import beside_lit_sides
 from autoreg.fitting.lit_walls import _likeliest_looks
 from autoreg.ground.sides import ALONG_X, ALONG_Y
@@ -104,26 +103,20 @@ def test_joints_of_one_tone_stay_where_they_are(changed: dict[str, float], width
     assert abs(nearer(beside_lit_sides(fit), scene)) < 0.08
 
 
-def drawn_side(wall: float, off_px: float) -> Side:
-    """Joints that lie so far beyond where they were found, whose far walls take up two fifths of them."""
-    n, px_per_unit, blur_px, bed = 60, 300.0, 0.8, 0.25
-    away = np.tile(np.arange(-8.0, 8.5, 0.5), (n, 1))
-    half_px, rng = 0.5 * WIDTH * px_per_unit, np.random.default_rng(2)
-
-    def beyond(edge_px: float) -> np.ndarray:
-        return ndtr((away - off_px - edge_px) / blur_px)
-
-    parts = (
-        (bed - 1.0) * beyond(-half_px) + (wall - bed) * beyond(0.2 * half_px) + (1.0 - wall) * beyond(half_px)
-    )
-    tones = 1.0 + parts + rng.normal(0.0, 0.02, away.shape)
-    return Side(away, tones, np.ones_like(away), np.full(n, px_per_unit), np.full(n, 0.8), blur_px)
-
-
 @pytest.mark.parametrize("wall", [0.5, 0.65, 1.15])
 def test_walls_in_the_shade_are_told_as_those_in_the_light(wall: float):
     off_px = 0.6
-    side = drawn_side(wall, off_px)
+    slope = np.full(60, 0.8)
+    side = drawn_side(
+        0.25,
+        wall,
+        off_px,
+        np.full(60, 0.2),
+        slope,
+        half_px=0.5 * WIDTH * 300.0,
+        px_per_unit=300.0,
+        noise=0.02,
+    )
     looks = _likeliest_looks(side, tuple(share * WIDTH for share in (1.0, 0.8, 0.6)), WIDTH, 20.0)
     assert looks is not None
     assert looks.tone == pytest.approx(wall, abs=0.08)

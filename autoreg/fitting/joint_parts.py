@@ -1,23 +1,27 @@
-"""Strips of three parts: a dark joint, and beside it what of one slab's rim or wall is in the light.
+"""Strips of three parts: a joint's bed, and beside it what one slab's rim or wall shows.
 
-Across such a joint follow one slab's tone, that of the bed and of what lies in shadow, that of the part in
-the light, which is as light as the slabs or lighter, and the other slab's.
+Across such a joint follow one slab's tone, that of the bed, that of the rim or wall, which all joints that
+are seen alike share, and the other slab's. Mostly the bed is dark, and the other part in the light.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from autoreg.fitting.fit import Fit
-from autoreg.joints.strips import edge, single
+from autoreg.joints.strips import INDEPENDENT, edge, single
 
 # Places that are tried, from where a strip of one tone was found: as far as this share of the width and so
 # many pixels, in so many steps either way.
 FARTHEST, FARTHEST_PX, STEPS = 0.6, 0.5, 12
+# So many joints tell how all that are seen alike divide, at least and at most.
+FEWEST, SAMPLE = 12, 60
 # Roughness of slabs that no profile is without, as a share of their tone.
 ROUGH = 0.02
 # Keeps tones of parts that are hidden finite.
@@ -63,13 +67,13 @@ class Side:
             slope=self.slope[rows],
         )
 
-    def widest(self, most: int) -> Side:
-        """So many of the joints that show their parts best.
+    def widest(self) -> Side:
+        """The joints that show their parts best.
 
         Every other one of these, where there are more, so that they are not all of the same slabs.
         """
         order = np.argsort(-self.px_per_unit, kind="stable")
-        return self.take(np.sort(order[: 2 * most : 2 if len(order) > most else 1]))
+        return self.take(np.sort(order[: 2 * SAMPLE : 2 if len(order) > SAMPLE else 1]))
 
 
 def side_of(
@@ -130,3 +134,44 @@ def fit_parts(side: Side, parts: Parts) -> tuple[Float[np.ndarray, " n"], Float[
     beyond = np.clip(beyond, -1.0, 1.0)
     least = least - 0.25 * (before - after) * beyond
     return np.log(np.maximum(least, 0.0) + ROUGH**2), every * (best - STEPS + beyond)
+
+
+def likelihood_of(side: Side) -> Callable[[Parts], float]:
+    """Log likelihood of parts by the joints of a side, up to a constant; what was asked is kept."""
+    values = 0.5 * INDEPENDENT * side.weight.sum(1)
+
+    @cache
+    def nats(parts: Parts) -> float:
+        return -float(values @ fit_parts(side, parts)[0])
+
+    return nats
+
+
+def climbed(
+    nats: Callable[[Parts], float],
+    parts: Callable[..., Parts],
+    tried: tuple[tuple[float, ...], ...],
+    first: tuple[tuple[float, ...], ...],
+    steps: Iterable[tuple[int, ...]],
+) -> Parts:
+    """The likeliest parts: climbs from the best of a few looks over the values that are `tried`.
+
+    `parts` makes them of a look, a value of each kind; `steps` lead to the looks that are next to one.
+    """
+    steps = tuple(steps)
+
+    def look(place: tuple[int, ...]) -> Parts:
+        return parts(*(values[k] for values, k in zip(tried, place, strict=True)))
+
+    def likelihood(place: tuple[int, ...]) -> float:
+        return nats(look(place))
+
+    starts = [tuple(values.index(v) for values, v in zip(tried, looks, strict=True)) for looks in first]
+    best = max(starts, key=likelihood)
+    while True:
+        around = (tuple(k + by for k, by in zip(best, step, strict=True)) for step in steps)
+        inside = [p for p in around if all(0 <= k < len(v) for k, v in zip(p, tried, strict=True))]
+        better = max(inside, key=likelihood)
+        if likelihood(better) <= likelihood(best):
+            return look(best)
+        best = better

@@ -11,15 +11,12 @@ slab's rim.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from itertools import product
 
 import numpy as np
 
-from autoreg.fitting.joint_parts import Parts, Side, fit_parts
+from autoreg.fitting.joint_parts import FEWEST, Parts, Side, climbed, likelihood_of
 from autoreg.joints.joint_looks import Strip
-from autoreg.joints.strips import INDEPENDENT
 
 # What is tried: widths of the whole joint, as multiples of its dark part's; shares of it that the bevel takes
 # up from above, as deep as it is wide; and the bevel's tone against the slabs'.
@@ -30,8 +27,9 @@ LIGHT, DARK = (1.1, 1.15, 1.22, 1.3, 1.45, 1.6), (0.5, 0.6, 0.7, 0.8, 0.9)
 LIGHT_FIRST = ((1.4, 0.25, 1.1), (1.8, 0.25, 1.22), (2.0, 0.35, 1.1))
 DARK_FIRST = ((1.4, 0.25, 0.8), (1.8, 0.25, 0.6), (2.0, 0.35, 0.8))
 WIDEST = WIDER[-1]
-# So many joints tell them, at least and at most, that are so many blurs wide.
-FEWEST, SAMPLE, LEAST_BLURS = 12, 60, 1.5
+EVERY_WAY = tuple(product((-1, 0, 1), repeat=3))
+# Joints in fewer blurs tell nothing.
+LEAST_BLURS = 1.5
 # A bevel must make joints so much likelier than one tone does, and than walls do.
 LEAST_NATS, LEAST_NATS_WALLS = 20.0, 15.0
 # What is wider than this share of a slab's side is no bevel, but rough or sloping stone.
@@ -55,12 +53,7 @@ def bevelled(
     wide = np.flatnonzero((own * side.px_per_unit > LEAST_BLURS * side.blur_px) & (side.slope > 0))
     if strip.polarity[family] > 0 or len(wide) < FEWEST:
         return None
-    side = side.take(wide).widest(SAMPLE)
-    values = 0.5 * INDEPENDENT * side.weight.sum(1)
-
-    @cache
-    def nats(parts: Parts) -> float:
-        return -float(values @ fit_parts(side, parts)[0])
+    nats = likelihood_of(side.take(wide).widest())
 
     def bevel(wider: float, share: float, tone: float) -> Parts:
         return Parts(wider * own, share, share, tone)
@@ -72,7 +65,7 @@ def bevelled(
     # Where bevels make the joints less likely at first, no others are tried.
     expected = nats(wall or Parts(own))
     bevels = [
-        _likeliest(nats, bevel, (WIDER, SHARES, tones), first)
+        climbed(nats, bevel, (WIDER, SHARES, tones), first, EVERY_WAY)
         for tones, first in looks
         if max(nats(bevel(*look)) for look in first) > expected
     ]
@@ -83,29 +76,6 @@ def bevelled(
     plain = max(map(nats, others))
     if nats(found) - plain < LEAST_NATS or found.level * found.width > MOST_OF_SIDE * across:
         return None
-    likelier = nats(found) - max(plain, nats(_likeliest(nats, any_wall, OF_WALLS, WALLS_AT_FIRST)))
+    wall_like = climbed(nats, any_wall, OF_WALLS, WALLS_AT_FIRST, EVERY_WAY)
+    likelier = nats(found) - max(plain, nats(wall_like))
     return None if likelier < LEAST_NATS_WALLS else (likelier, found)
-
-
-def _likeliest(
-    nats: Callable[[Parts], float],
-    parts: Callable[..., Parts],
-    tried: tuple[tuple[float, ...], ...],
-    first: tuple[tuple[float, ...], ...],
-) -> Parts:
-    """The likeliest parts: climbs from the best of a few looks over the values that are `tried`."""
-
-    def look(place: tuple[int, ...]) -> Parts:
-        return parts(*(values[k] for values, k in zip(tried, place, strict=True)))
-
-    def likelihood(place: tuple[int, ...]) -> float:
-        return nats(look(place))
-
-    starts = [tuple(values.index(v) for values, v in zip(tried, looks, strict=True)) for looks in first]
-    best = max(starts, key=likelihood)
-    while True:
-        around = (range(max(k - 1, 0), min(k + 2, len(v))) for k, v in zip(best, tried, strict=True))
-        better = max(product(*around), key=likelihood)
-        if likelihood(better) <= likelihood(best):
-            return look(best)
-        best = better

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -33,56 +34,62 @@ BATCH = 60
 ROUGHER, ROUGHER_WIDTHS = 1.5, 0.05
 
 
+class _Looked(NamedTuple):
+    """Joints of one family, seen along their normals or against them, and the parts that they show."""
+
+    rows: Int[np.ndarray, " n"]
+    way: float
+    side: Side
+    parts: Parts
+
+
 def beside_lit_sides(fit: Fit) -> Fit:
     """The fit with the middles of joints measured by strips of three parts, where these are seen."""
     slope, width = across_slope(fit), _full_width(fit)
     lit, lined = lights(fit, np.arange(len(slope))), fit.usable | _taken_for_dark(fit)
     for family, light in product(np.unique(fit.stations.family).tolist(), lit):
         rows = np.flatnonzero(lined & light & (fit.stations.family == family))
+        if not len(rows):
+            continue
         walls = {way: _walled(fit, rows, way, slope, width) for way in (-1.0, 1.0)}
         bevel = _bevelled(fit, rows, slope, walls)
         if bevel is not None:
-            fit = bevel
-            continue
-        for way, wall in walls.items():
+            beyond = _measured(fit, bevel, bevel.parts.level * bevel.parts.width)
+            if not _rougher(beyond, fit, rows, together=True):
+                fit = beyond
+                continue
+        for wall in walls.values():
             if wall is not None:
-                seen = rows[way * slope[rows] > LEAST_SLOPE]
-                beyond = _measured(fit, seen, way, side_of(fit, seen, way, slope, width), wall)
-                fit = fit if _rougher(beyond, fit, seen) else beyond
+                beyond = _measured(fit, wall)
+                fit = fit if _rougher(beyond, fit, wall.rows) else beyond
     return fit
 
 
 def _walled(
     fit: Fit, rows: Int[np.ndarray, " n"], way: float, slope: Float[np.ndarray, " s"], width: float
-) -> Parts | None:
-    """How walls in the light look in those of some joints that are seen from one side."""
+) -> _Looked | None:
+    """Those of some joints that are seen from one side, if walls of theirs are in the light."""
     seen = rows[way * slope[rows] > LEAST_SLOPE]
     if not len(seen):
         return None
-    family = int(fit.stations.family[seen[0]])
-    return walled(side_of(fit, seen, way, slope, width), fit.strip, family, width)
+    side = side_of(fit, seen, way, slope, width)
+    parts = walled(side, fit.strip, int(fit.stations.family[seen[0]]), width)
+    return None if parts is None else _Looked(seen, way, side, parts)
 
 
 def _bevelled(
-    fit: Fit, rows: Int[np.ndarray, " n"], slope: Float[np.ndarray, " s"], walls: dict[float, Parts | None]
-) -> Fit | None:
-    """The fit with some joints of a family measured from rim to rim, if bevels of theirs are in the light."""
-    if not len(rows):
-        return None
+    fit: Fit, rows: Int[np.ndarray, " n"], slope: Float[np.ndarray, " s"], walls: dict[float, _Looked | None]
+) -> _Looked | None:
+    """Some joints of a family with the likeliest bevels, if any are in the light."""
     family = int(fit.stations.family[rows[0]])
     across = fit.grid.slab_size[1 if family == ALONG_X else 0]
-    sides = {way: side_of(fit, rows, way, slope, WIDEST * fit.strip.width[family]) for way in walls}
-    looks = {way: bevelled(sides[way], fit.strip, family, across, wall) for way, wall in walls.items()}
-    found = {way: look for way, look in looks.items() if look is not None}
-    if not found:
-        return None
-    way = max(found, key=lambda way: found[way][0])
-    parts = found[way][1]
-    beyond = _measured(fit, rows, way, sides[way], parts)
-    bevel = fit.bevel.copy()
-    bevel[rows] = parts.level * parts.width
-    beyond = replace(beyond, bevel=bevel)
-    return None if _rougher(beyond, fit, rows, together=True) else beyond
+    found: list[tuple[float, _Looked]] = []
+    for way, wall in walls.items():
+        side = side_of(fit, rows, way, slope, WIDEST * fit.strip.width[family])
+        look = bevelled(side, fit.strip, family, across, None if wall is None else wall.parts)
+        if look is not None:
+            found.append((look[0], _Looked(rows, way, side, look[1])))
+    return max(found, key=lambda each: each[0])[1] if found else None
 
 
 def _rougher(measured: Fit, fit: Fit, rows: Int[np.ndarray, " n"], *, together: bool = False) -> bool:
@@ -110,14 +117,16 @@ def _taken_for_dark(fit: Fit) -> Bool[np.ndarray, " n"]:
     return light & ~fit.usable & (fit.offsets.strength > LEAST_STRENGTH) & (fit.offsets.depth < 0)
 
 
-def _measured(fit: Fit, rows: Int[np.ndarray, " n"], way: float, side: Side, parts: Parts) -> Fit:
-    """The fit with the middles of one side's joints measured by strips of three parts."""
+def _measured(fit: Fit, looked: _Looked, bevel: float = 0.0) -> Fit:
+    """The fit with the middles of some joints measured by strips of three parts, up to bevels so wide."""
+    rows, way, side, parts = looked
     batches = np.array_split(np.arange(len(rows)), -(-len(rows) // BATCH))
     farther = np.concatenate([fit_parts(side.take(batch), parts)[1] for batch in batches])
     offset, sigma = fit.offsets.offset_px[rows] + way * farther, fit.offsets.sigma_px[rows]
-    rimmed, usable = fit.rimmed.copy(), fit.usable.copy()
+    rimmed, usable, bevels = fit.rimmed.copy(), fit.usable.copy(), fit.bevel.copy()
     rimmed[rows] = usable[rows] = True
-    return replace(fit.measured_at(rows, offset, sigma), rimmed=rimmed, usable=usable)
+    bevels[rows] = bevel
+    return replace(fit.measured_at(rows, offset, sigma), rimmed=rimmed, usable=usable, bevel=bevels)
 
 
 def _full_width(fit: Fit) -> float:

@@ -11,13 +11,10 @@ is that of the joints which show more of themselves.
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
-from autoreg.fitting.joint_parts import Parts, Side, fit_parts
+from autoreg.fitting.joint_parts import FEWEST, Parts, Side, climbed, likelihood_of
 from autoreg.joints.joint_looks import Strip
-from autoreg.joints.strips import INDEPENDENT
 
 # Joints say little where half are seen below this slope; those in fewer blurs show no parts.
 LEAST_MEDIAN_SLOPE, LEAST_BLURS = 0.3, 2.0
@@ -26,8 +23,7 @@ LEAST_MEDIAN_SLOPE, LEAST_BLURS = 0.3, 2.0
 HEIGHTS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2, 1.4)
 WALLS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0, 1.03, 1.06, 1.12, 1.18, 1.25, 1.4)
 AT_FIRST = ((0.5, 0.6), (0.5, 0.95), (0.5, 1.12), (0.7, 1.0), (1.0, 0.95))
-# So many joints tell both, at least and at most.
-FEWEST, SAMPLE = 12, 60
+ONE_AT_A_TIME = ((-1, 0), (1, 0), (0, -1), (0, 1))
 # Three parts must be so much likelier than one; where they are so much less likely at first, no others are
 # tried.
 LEAST_NATS, HOPELESS_NATS = 20.0, -40.0
@@ -64,36 +60,19 @@ def _likeliest_looks(
     These may have any of the `plain_widths`, the likeliest of which comes first. Climbs from the best of a
     few guesses over the values that are tried.
     """
-    side = side.widest(SAMPLE)
-    values = 0.5 * INDEPENDENT * side.weight.sum(1)
+    nats = likelihood_of(side.widest())
 
-    def of_one_tone(own_width: float) -> float:
-        return float(values @ fit_parts(side, Parts(own_width))[0])
+    def wall(height: float, tone: float) -> Parts:
+        return Parts(width, 0.0, height, tone)
 
-    def parts(looks: tuple[int, int]) -> Parts:
-        height, wall = looks
-        return Parts(width, 0.0, HEIGHTS[height], WALLS[wall])
-
-    @cache
-    def of_three_parts(looks: tuple[int, int]) -> float:
-        height, wall = looks
-        if not (0 <= height < len(HEIGHTS) and 0 <= wall < len(WALLS)):
-            return np.inf
-        return float(values @ fit_parts(side, parts(looks))[0])
-
-    best = min(((HEIGHTS.index(h), WALLS.index(w)) for h, w in AT_FIRST), key=of_three_parts)
-    likeliest, *others = dict.fromkeys(plain_widths)
-    plain = of_one_tone(likeliest)
+    first = max(nats(wall(*looks)) for looks in AT_FIRST)
+    likeliest, *others = (Parts(each) for each in dict.fromkeys(plain_widths))
+    plain = nats(likeliest)
     # Other widths could only make one tone likelier.
-    if plain - of_three_parts(best) < HOPELESS_NATS:
+    if first - plain < HOPELESS_NATS:
         return None
-    plain = min((plain, *map(of_one_tone, others)))
-    if plain - of_three_parts(best) < HOPELESS_NATS:
+    plain = max((plain, *map(nats, others)))
+    if first - plain < HOPELESS_NATS:
         return None
-    while True:
-        h, w = best
-        better = min(((h, w), (h - 1, w), (h + 1, w), (h, w - 1), (h, w + 1)), key=of_three_parts)
-        if better == best:
-            break
-        best = better
-    return parts(best) if plain - of_three_parts(best) > least_nats else None
+    best = climbed(nats, wall, (HEIGHTS, WALLS), AT_FIRST, ONE_AT_A_TIME)
+    return best if nats(best) - plain > least_nats else None

@@ -161,7 +161,7 @@ def estimate_motion(
     (parameters, relieved), covariance = np.zeros((2, MOTION)), np.zeros((MOTION, MOTION))
     parameters[model.free], relieved[model.free] = mean * model.unit, by_relief * model.unit
     covariance[np.ix_(model.free, model.free)] = spread * np.outer(model.unit, model.unit)
-    relief = RELIEFS[int(likely.value.argmax()) % len(RELIEFS)]
+    relief = RELIEFS[int(likely.value.max((0, 1)).argmax())]
     scatter = _scatter_of(sizes, fit.grid.slab_side, relief, misfit)
     return Estimate(parameters, relieved, covariance, scatter)
 
