@@ -517,7 +517,8 @@ def test_a_missing_database_is_skipped_with_a_word(tmp_path: Path):
     ("quarters", "shift"), [(0, 0.0), (1, 0.0), (3, 0.0), (0, 0.25), (2, 0.25), (2, 0.5)]
 )
 def test_a_true_scene_is_seen_from_the_frame_that_was_found(quarters: int, shift: float):
-    scene = SyntheticScene(spacing_m=(0.6, 0.3), shift=shift, colour=False)
+    camera = Camera.from_focal(320, 240, 280.0)
+    scene = SyntheticScene(camera=camera, spacing_m=(0.6, 0.3), shift=shift, colour=False)
     true = scene.cam_from_ground
     angle = 0.5 * np.pi * quarters
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])

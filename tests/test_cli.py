@@ -151,9 +151,7 @@ def test_json_for_a_closed_stdout_goes_nowhere(monkeypatch):
     hand_over("{}")
 
 
-@pytest.mark.parametrize(
-    "name", ["a b.png", "it's.png", 'say "x".png', "Straße Ω.png", "[red]x.png", "a;b $(c).png"]
-)
+@pytest.mark.parametrize("name", ["it's a;b $(c).png", '[red]say "x" Straße Ω.png'])
 def test_any_file_name_is_taken_as_it_is(photo, aligned, name):
     photo.rename(name)
     done = run("align", name, "--render", "--engine", "preview")

@@ -217,9 +217,10 @@ def test_the_scene_that_the_user_gets_shows_the_photo_to_the_grey_level(camera, 
 
 @needs_povray
 def test_the_scene_that_the_user_gets_shows_objects_and_their_shadows(tmp_path):
-    plan = plan_for()
+    camera = CAMERA.scaled(320, 240)
+    plan = plan_for(found=alignment(camera=camera))
     rendered = run_scene(plan, tmp_path)
-    made = render(engine(tmp_path), plan, photo_for())
+    made = render(engine(tmp_path), plan, photo_for(camera))
     inside = cv2.erode((made.layer[..., 3] > 0).astype(np.uint8), np.ones((5, 5))) > 0
     # One sample per pixel there, many here.
     differs = np.abs(rendered.astype(int) - made.composite).max(-1)
@@ -230,7 +231,9 @@ def test_the_scene_that_the_user_gets_shows_objects_and_their_shadows(tmp_path):
 def run_scene(plan, folder, *options):
     cv2.imwrite(str(folder / plan.files.backdrop), plan.backdrop)
     (folder / "scene.pov").write_text(plan.files.text)
-    command = ["povray", "+Iscene.pov", "+Oout.png", "+W640", "+H480", "-D", "+FN", "-A", *options]
+    height, width = plan.backdrop.shape[:2]
+    size = [f"+W{width}", f"+H{height}"]
+    command = ["povray", "+Iscene.pov", "+Oout.png", *size, "-D", "+FN", "-A", *options]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
     return cv2.imread(str(folder / "out.png"), cv2.IMREAD_COLOR)
 

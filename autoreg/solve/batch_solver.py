@@ -24,7 +24,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from autoreg.solve.joint_data import PARAMETERS, JointData
-from autoreg.solve.residuals import Projection, moved_projection, pixel, robust_curvature
+from autoreg.solve.residuals import (
+    Projection,
+    distances_and_jacobian,
+    moved_projection,
+    pixel,
+    robust_curvature,
+)
 from autoreg.solve.solver import (
     CAUCHY_SIGMAS,
     FIRST_DAMPING,
@@ -106,7 +112,7 @@ def solve_batch(
             parameters[k],
             float(cost[k]),
             distances[k, : len(data.weight)],
-            jacobian[k, :, : len(data.weight)].T,
+            jacobian[k, : len(data.weight)],
             int(steps[k]),
         )
         for k, data in enumerate(problems)
@@ -162,9 +168,9 @@ def _solve(columns: tuple[int, ...], problem: _Problem) -> tuple[Array, ...]:
     first = _state(start, size, jnp.asarray(FIRST_DAMPING), jnp.asarray(0))
     end = jax.lax.while_loop(lambda s: s.going, lambda s: _step(s, size, columns, problem), first)
     whole = _whole(end.p, columns)
-    distances, jacobian = _distances(whole, tuple(range(PARAMETERS)), problem.data)
+    distances, jacobian = distances_and_jacobian(whole, problem.data)
     scale = jnp.asarray(problem.data.scale)
-    return whole * scale, end.cost, end.promised, distances, jacobian / scale[:, None], end.steps
+    return whole * scale, end.cost, end.promised, distances, jacobian / scale, end.steps
 
 
 def _whole(p: Array, columns: tuple[int, ...]) -> Float[Array, " p"]:

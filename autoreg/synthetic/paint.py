@@ -8,7 +8,8 @@ from jaxtyping import Float, Int
 from autoreg.synthetic.relief import Side, seen_parts
 from autoreg.synthetic.scene import SyntheticScene
 
-TABLE = 128  # The random tables repeat after so many cells, far beyond what one photo shows sharply.
+# The random tables repeat after so many cells, far beyond what one photo shows sharply: a power of two.
+TABLE = 128
 
 Tones = Float[np.ndarray, "*n"]
 # Column and row of slabs.
@@ -37,12 +38,20 @@ def band_coverage(gap: Tones, width: Tones, half_band: float) -> Tones:
 
 def smooth_noise(table: Float[np.ndarray, "m m"], x: Tones, y: Tones) -> Tones:
     """Value noise of unit cells: the table's values at the corners, joined bilinearly."""
-    i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    i, j = np.floor(x), np.floor(y)
     p, q = x - i, y - j
-    i0, i1, j0, j1 = i % TABLE, (i + 1) % TABLE, j % TABLE, (j + 1) % TABLE
-    low = table[j0, i0] * (1 - p) + table[j0, i1] * p
-    high = table[j1, i0] * (1 - p) + table[j1, i1] * p
+    i, j = i.astype(np.int64), j.astype(np.int64)
+    i0, i1 = i & (TABLE - 1), (i + 1) & (TABLE - 1)
+    row0, row1 = (TABLE * (some & (TABLE - 1)) for some in (j, j + 1))
+    values = table.ravel()
+    low = values.take(row0 + i0) * (1 - p) + values.take(row0 + i1) * p
+    high = values.take(row1 + i0) * (1 - p) + values.take(row1 + i1) * p
     return low * (1 - q) + high * q
+
+
+def of_cell(table: Float[np.ndarray, "m m"], i: Int[np.ndarray, "*n"], j: Int[np.ndarray, "*n"]) -> Tones:
+    """The table's value of each cell, by its column and row."""
+    return table.ravel().take(TABLE * (j & (TABLE - 1)) + (i & (TABLE - 1)))
 
 
 class Ground:
@@ -100,7 +109,7 @@ class Ground:
         tone = scene.slab_tone
         if scene.second_tone is not None:
             tone = np.where((i + j) % 2 == 0, scene.slab_tone, scene.second_tone)
-        return tone * (1 + scene.tone_spread * self._tone[j % TABLE, i % TABLE])
+        return tone * (1 + scene.tone_spread * of_cell(self._tone, i, j))
 
     def _lattice(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
         scene = self.scene
@@ -109,10 +118,10 @@ class Ground:
         x = x - np.mod(j * scene.shift, 1.0) * a
         i = np.floor(x / a).astype(np.int64)
         # A slab moves inside its own cell; the seam between cells lies in the middle of the joint, unseen.
-        along_x = comb_coverage(y - self._shift_y[j % TABLE, i % TABLE], width_y, b, joint)
+        along_x = comb_coverage(y - of_cell(self._shift_y, i, j), width_y, b, joint)
         covered = along_x
         if scene.kind != "planks":
-            across = comb_coverage(x - self._shift_x[j % TABLE, i % TABLE], width_x, a, joint)
+            across = comb_coverage(x - of_cell(self._shift_x, i, j), width_x, a, joint)
             covered = along_x + across - along_x * across
         else:
             i = np.zeros_like(i)
@@ -148,21 +157,34 @@ class Ground:
         """
         half = 0.5 * self.scene.joint_width_m
         slope = ((x, y)[axis] - self._eye[axis]) / self._eye[2]
+        # Footprints that lie beside every joint, as most do, need not be asked what they see of one.
+        some = np.flatnonzero(np.abs(comb[0]) <= self._joint_reach(axis, slope) + 0.5 * comb[1])
+        x, y, slope, away_m, width_m = (values[some] for values in (x, y, slope, *comb[:2]))
+        before, beyond = ((i[some], j[some]) for i, j in (before, beyond))
         low, high = self._side(axis, -half, before, x, y), self._side(axis, half, beyond, x, y)
-        covered, tones = np.zeros_like(x), np.zeros_like(x)
+        covered, tones = np.zeros(comb[0].shape), np.zeros(comb[0].shape)
         for part in seen_parts(self.scene, low, high, slope, axis):
-            share = comb_coverage(comb[0] - part.middle_m, comb[1], comb[2], part.width_m)
-            covered, tones = covered + share, tones + share * part.tone
+            share = comb_coverage(away_m - part.middle_m, width_m, comb[2], part.width_m)
+            covered[some] += share
+            tones[some] += share * part.tone
         return covered, tones
+
+    def _joint_reach(self, axis: int, slope: Tones) -> Tones:
+        """How far from its line a joint may be seen, at the slabs' level."""
+        scene = self.scene
+        shift = (self._shift_x, self._shift_y)[axis]
+        aside = np.abs(shift).max() + np.abs(self._slab_turn).max() * max(scene.spacing_m)
+        rim = 0.5 * scene.joint_width_m + scene.chamfer_m
+        return rim + aside + np.abs(slope) * (np.abs(self._lift).max() + scene.chamfer_m)
 
     def _side(self, axis: int, edge_m: float, slab: Cell, x: Tones, y: Tones) -> Side:
         """The side of a slab whose edge ought to lie at a distance from the joint's line."""
         (a, b), (i, j) = self.scene.spacing_m, slab
-        cell = (j % TABLE, i % TABLE)
         middle = (i + 0.5 + np.mod(j * self.scene.shift, 1.0)) * a, (j + 0.5) * b
         lever = (middle[1] - y, x - middle[0])[axis]
-        place = (self._shift_x, self._shift_y)[axis][cell] + self._slab_turn[cell] * lever
-        return Side(edge_m + place, self._lift[cell], self._slab_tone(i, j))
+        shift = (self._shift_x, self._shift_y)[axis]
+        place = of_cell(shift, i, j) + of_cell(self._slab_turn, i, j) * lever
+        return Side(edge_m + place, of_cell(self._lift, i, j), self._slab_tone(i, j))
 
     def _column(self, x: Tones, j: Int[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
         a = self.scene.spacing_m[0]

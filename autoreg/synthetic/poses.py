@@ -39,9 +39,9 @@ def ground_points(
     pixels_xy: Float[np.ndarray, "n 2"], camera_K: Float[np.ndarray, "3 3"], cam_from_ground: Rigid
 ) -> Float[np.ndarray, "n 2"]:
     """Ground points (Z = 0) under pixels of an undistorted camera; NaN for pixels above the horizon."""
-    rays_cam = np.column_stack([pixels_xy, np.ones(len(pixels_xy))]) @ np.linalg.inv(camera_K).T
-    rays = rays_cam @ cam_from_ground.R
-    eye = cam_from_ground.origin_in_a
+    ray_of_pixel, eye = cam_from_ground.R.T @ np.linalg.inv(camera_K), cam_from_ground.origin_in_a
+    u, v = pixels_xy[:, 0], pixels_xy[:, 1]
+    x, y, z = (along[0] * u + along[1] * v + along[2] for along in ray_of_pixel)
     with np.errstate(divide="ignore", invalid="ignore"):
-        reach = np.where(rays[:, 2] < 0, -eye[2] / rays[:, 2], np.nan)
-    return eye[:2] + rays[:, :2] * reach[:, None]
+        reach = np.where(z < 0, -eye[2] / z, np.nan)
+    return np.stack([eye[0] + x * reach, eye[1] + y * reach], 1)
