@@ -6,7 +6,7 @@ are seen alike share, and the other slab's. Mostly the bed is dark, and the othe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
@@ -105,27 +105,21 @@ def fit_parts(side: Side, parts: Parts) -> tuple[Float[np.ndarray, " n"], Float[
     slabs' mean.
     """
     width, level, height, tone = parts
-    blur, wide = side.blur_px, width * side.px_per_unit
+    wide = width * side.px_per_unit
     every = (FARTHEST * wide + FARTHEST_PX) / STEPS
     places = every[:, None] * np.arange(-STEPS, STEPS + 1)
-    at = (side.away_px[:, None, :] - places[..., None]) / blur
-    edges = wide[:, None, None] / blur
-    lit = np.clip(level + height * side.slope, 0.0, 1.0)[:, None, None]
-    near, far = (edge(single(at + way * 0.5 * edges))[0] for way in (1.0, -1.0))
-    lit_begins = edge(single(at - (0.5 - lit) * edges))[0] if level or height else far
-    shared = np.float32(0.5 * tone) * (lit_begins - far)
+    at = single(side.away_px / side.blur_px)[:, None, :] - single(places / side.blur_px)[..., None]
+    edges = single(0.5 * wide / side.blur_px)[:, None, None]
+    near, far = edge(at + edges)[0], edge(at - edges)[0]
+    lit = single(np.clip(level + height * side.slope, 0.0, 1.0))[:, None, None]
+    light = edge(at - (1 - 2 * lit) * edges)[0] - far if level or height else np.zeros_like(far)
     # What each tone, beyond that of the slabs on the whole, adds to a profile.
-    tones = np.stack([1.0 - near + shared, far + shared, near - lit_begins], -2)
-    lighter = np.float32(tone - 1.0) * (lit_begins - far)
-    left = single(side.tones - 1.0)[:, None, :] - lighter
-    weighted = tones * single(side.weight)[:, None, None, :]
-    normal = (weighted @ tones.swapaxes(-1, -2)).astype(float)
-    samples = side.weight.sum(1)
-    normal[..., range(3), range(3)] += RIDGE * samples[:, None, None]
-    right = (weighted @ left[..., None]).astype(float)
-    explained = (right * np.linalg.solve(normal, right)).sum((-2, -1))
-    total = np.einsum("np,nkp,nkp->nk", single(side.weight), left, left).astype(float)
-    squares = np.maximum(total - explained, 0.0) / samples[:, None]
+    shared = np.float32(0.5 * tone) * light
+    columns = (1 - near + shared, far + shared, near - far - light)
+    left = single(side.tones - 1.0)[:, None, :] - np.float32(tone - 1.0) * light
+    weight, samples = single(side.weight)[:, None, :], side.weight.sum(1)[:, None]
+    total = _dot(weight * left, left)
+    squares = np.maximum(total - _explained(columns, weight, left, RIDGE * samples), 0.0) / samples
     best = np.clip(squares.argmin(1), 1, 2 * STEPS - 1)
     rows = np.arange(len(best))
     before, least, after = (squares[rows, best + k] for k in (-1, 0, 1))
@@ -134,6 +128,33 @@ def fit_parts(side: Side, parts: Parts) -> tuple[Float[np.ndarray, " n"], Float[
     beyond = np.clip(beyond, -1.0, 1.0)
     least = least - 0.25 * (before - after) * beyond
     return np.log(np.maximum(least, 0.0) + ROUGH**2), every * (best - STEPS + beyond)
+
+
+def _explained(
+    columns: Sequence[np.ndarray], weight: np.ndarray, left: np.ndarray, ridge: np.ndarray
+) -> Float[np.ndarray, "n k"]:
+    """What columns explain of the weighted squares along profiles, their heights held by a ridge.
+
+    By elimination, column by column, of all profiles at once.
+    """
+    weighted, count = [weight * column for column in columns], len(columns)
+    right = [_dot(column, left) for column in weighted]
+    normal = {(i, j): _dot(weighted[i], columns[j]) for i in range(count) for j in range(i, count)}
+    explained = np.zeros(right[0].shape)
+    for i in range(count):
+        pivot = normal[i, i] + ridge
+        explained += right[i] ** 2 / pivot
+        for j in range(i + 1, count):
+            ratio = normal[i, j] / pivot
+            right[j] = right[j] - ratio * right[i]
+            for k in range(j, count):
+                normal[j, k] = normal[j, k] - ratio * normal[i, k]
+    return explained
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "n k"]:
+    """Sums of products along profiles."""
+    return np.einsum("nkp,nkp->nk", a, b).astype(float)
 
 
 def likelihood_of(side: Side) -> Callable[[Parts], float]:
