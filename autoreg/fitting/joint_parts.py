@@ -12,7 +12,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Float32, Int
 
 from autoreg.fitting.fit import Fit
 from autoreg.joints.strips import INDEPENDENT, edge, single
@@ -104,19 +104,8 @@ def fit_parts(side: Side, parts: Parts) -> tuple[Float[np.ndarray, " n"], Float[
     The tones of both slabs and of the dark part are free, that of the part in the light is a multiple of the
     slabs' mean.
     """
-    width, level, height, tone = parts
-    wide = width * side.px_per_unit
-    every = (FARTHEST * wide + FARTHEST_PX) / STEPS
-    places = every[:, None] * np.arange(-STEPS, STEPS + 1)
-    at = single(side.away_px / side.blur_px)[:, None, :] - single(places / side.blur_px)[..., None]
-    edges = single(0.5 * wide / side.blur_px)[:, None, None]
-    near, far = edge(at + edges)[0], edge(at - edges)[0]
-    lit = single(np.clip(level + height * side.slope, 0.0, 1.0))[:, None, None]
-    light = edge(at - (1 - 2 * lit) * edges)[0] - far if level or height else np.zeros_like(far)
-    # What each tone, beyond that of the slabs on the whole, adds to a profile.
-    shared = np.float32(0.5 * tone) * light
-    columns = (1 - near + shared, far + shared, near - far - light)
-    left = single(side.tones - 1.0)[:, None, :] - np.float32(tone - 1.0) * light
+    every = (FARTHEST * parts.width * side.px_per_unit + FARTHEST_PX) / STEPS
+    columns, left = _drawn(side, parts, every[:, None] * np.arange(-STEPS, STEPS + 1))
     weight, samples = single(side.weight)[:, None, :], side.weight.sum(1)[:, None]
     total = _dot(weight * left, left)
     squares = np.maximum(total - _explained(columns, weight, left, RIDGE * samples), 0.0) / samples
@@ -128,6 +117,34 @@ def fit_parts(side: Side, parts: Parts) -> tuple[Float[np.ndarray, " n"], Float[
     beyond = np.clip(beyond, -1.0, 1.0)
     least = least - 0.25 * (before - after) * beyond
     return np.log(np.maximum(least, 0.0) + ROUGH**2), every * (best - STEPS + beyond)
+
+
+def bed_tone(side: Side, parts: Parts) -> float:
+    """Tone of what a joint shows beside its part in the light, against the slabs': the median of all."""
+    columns, left = _drawn(side, parts, fit_parts(side, parts)[1][:, None])
+    A = np.stack(columns, -1)[:, 0].astype(float)
+    weighted = side.weight[..., None] * A
+    normal = weighted.swapaxes(1, 2) @ A + RIDGE * side.weight.sum(1)[:, None, None] * np.eye(len(columns))
+    tones = 1.0 + np.linalg.solve(normal, weighted.swapaxes(1, 2) @ left.astype(float).swapaxes(1, 2))[..., 0]
+    return float(np.median(2.0 * tones[:, 2] / (tones[:, 0] + tones[:, 1])))
+
+
+def _drawn(
+    side: Side, parts: Parts, places_px: Float[np.ndarray, "n k"]
+) -> tuple[tuple[Float32[np.ndarray, "n k p"], ...], Float32[np.ndarray, "n k p"]]:
+    """What the near slab's, the far slab's and the bed's tone add to profiles of joints at some places.
+
+    The tones are those beyond the slabs' on the whole. With them what is left of the profiles for these.
+    """
+    width, level, height, tone = parts
+    at = single(side.away_px / side.blur_px)[:, None, :] - single(places_px / side.blur_px)[..., None]
+    edges = single(0.5 * width * side.px_per_unit / side.blur_px)[:, None, None]
+    near, far = edge(at + edges)[0], edge(at - edges)[0]
+    lit = single(np.clip(level + height * side.slope, 0.0, 1.0))[:, None, None]
+    light = edge(at - (1 - 2 * lit) * edges)[0] - far if level or height else np.zeros_like(far)
+    shared = np.float32(0.5 * tone) * light
+    left = single(side.tones - 1.0)[:, None, :] - np.float32(tone - 1.0) * light
+    return (1 - near + shared, far + shared, near - far - light), left
 
 
 def _explained(
