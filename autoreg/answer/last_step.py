@@ -82,8 +82,10 @@ def rested(
     least, most = exact.lopsided
     if least > LOPSIDED:
         return settled
-    # Of a large picture's pixels a few are looked at, and the measured places may know more.
-    if np.linalg.slogdet(exact.plain)[1] > np.linalg.slogdet(settled.covariance)[1]:
+    # Of a large picture's pixels a few are looked at, and the measured places may know more. The turn tells:
+    # what all joints may be off by together, which only the places' covariance allows for, hardly turns them.
+    turn = np.s_[:3, :3]
+    if np.linalg.slogdet(exact.plain[turn])[1] > np.linalg.slogdet(settled.covariance[turn])[1]:
         return replace(settled, covariance=settled.covariance + exact.doubted)
     covariance = exact.covariance
     if most > LOPSIDED:
