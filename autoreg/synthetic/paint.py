@@ -36,22 +36,18 @@ def band_coverage(gap: Tones, width: Tones, half_band: float) -> Tones:
     return np.maximum(last - first, 0.0) / width
 
 
+def of_cell(table: Float[np.ndarray, "m m"], i: Int[np.ndarray, "*n"], j: Int[np.ndarray, "*n"]) -> Tones:
+    """The table's value of each cell, by its column and row."""
+    return table.ravel().take(TABLE * (j & (TABLE - 1)) + (i & (TABLE - 1)))
+
+
 def smooth_noise(table: Float[np.ndarray, "m m"], x: Tones, y: Tones) -> Tones:
     """Value noise of unit cells: the table's values at the corners, joined bilinearly."""
     i, j = np.floor(x), np.floor(y)
     p, q = x - i, y - j
     i, j = i.astype(np.int64), j.astype(np.int64)
-    i0, i1 = i & (TABLE - 1), (i + 1) & (TABLE - 1)
-    row0, row1 = (TABLE * (some & (TABLE - 1)) for some in (j, j + 1))
-    values = table.ravel()
-    low = values.take(row0 + i0) * (1 - p) + values.take(row0 + i1) * p
-    high = values.take(row1 + i0) * (1 - p) + values.take(row1 + i1) * p
+    low, high = (of_cell(table, i, row) * (1 - p) + of_cell(table, i + 1, row) * p for row in (j, j + 1))
     return low * (1 - q) + high * q
-
-
-def of_cell(table: Float[np.ndarray, "m m"], i: Int[np.ndarray, "*n"], j: Int[np.ndarray, "*n"]) -> Tones:
-    """The table's value of each cell, by its column and row."""
-    return table.ravel().take(TABLE * (j & (TABLE - 1)) + (i & (TABLE - 1)))
 
 
 class Ground:
@@ -80,6 +76,10 @@ class Ground:
         self._shift_y += beside[:, None]
         # The courses of a running bond move along X, each with its cross joints; else columns do.
         self._shift_x += along[:, None] if scene.shift else along
+        # The most that moves a slab's side, across X and across Y, and that lifts a slab.
+        turned = np.abs(self._slab_turn).max() * max(scene.spacing_m)
+        self._most_aside = [np.abs(shift).max() + turned for shift in (self._shift_x, self._shift_y)]
+        self._most_lift = np.abs(self._lift).max()
 
     def tone(self, x: Tones, y: Tones, width_x: Tones, width_y: Tones) -> Tones:
         """Grey levels of ground samples whose footprints are `width` wide."""
@@ -171,11 +171,8 @@ class Ground:
 
     def _joint_reach(self, axis: int, slope: Tones) -> Tones:
         """How far from its line a joint may be seen, at the slabs' level."""
-        scene = self.scene
-        shift = (self._shift_x, self._shift_y)[axis]
-        aside = np.abs(shift).max() + np.abs(self._slab_turn).max() * max(scene.spacing_m)
-        rim = 0.5 * scene.joint_width_m + scene.chamfer_m
-        return rim + aside + np.abs(slope) * (np.abs(self._lift).max() + scene.chamfer_m)
+        rim = 0.5 * self.scene.joint_width_m + self.scene.chamfer_m
+        return rim + self._most_aside[axis] + np.abs(slope) * (self._most_lift + self.scene.chamfer_m)
 
     def _side(self, axis: int, edge_m: float, slab: Cell, x: Tones, y: Tones) -> Side:
         """The side of a slab whose edge ought to lie at a distance from the joint's line."""
