@@ -22,8 +22,11 @@ SHARE = 0.95
 # What joints in the open are like: metres wide and deep, and slabs beside them that lie half as much too high
 # or too low as they lie aside (DIN 18318 allows neighbours a step of 2 mm) and turned by so much.
 WIDTHS_M, DEPTHS_M = (0.008, 0.014), (0.003, 0.008)
-# Half of the pavings have rims that are bevelled by so much at the most, as cast slabs and pavers have.
+# Of three pavings one has sawn rims; one has rims bevelled by so much at the most, as cast slabs and pavers
+# have, over a bed that is deeper; and one has joints filled up to their bevels or worn rims, so that no wall
+# shows: so deep, with a bed of any tone between dark soil and the slabs' own.
 MOST_CHAMFER_M = 0.003
+FILLED_DEPTHS_M, FILLED_CHAMFER, FILLED_TONES = (0.001, 0.005), 0.9, (50.0, 130.0)
 LIFT, SLAB_TURN_DEG = 0.5, 0.05
 # A sun that is worth taking photos by, and the sky's share of the light, from a clear day to a hazy one.
 ELEVATIONS_DEG, SKY_LIGHT = (25.0, 65.0), (0.3, 0.6)
@@ -107,9 +110,19 @@ def draw(regime: Regime, seed: int) -> SyntheticScene:
         sun_elevation_rad=np.deg2rad(rng.uniform(*ELEVATIONS_DEG)),
         sky_light=rng.uniform(*SKY_LIGHT),
     )
-    if seed % 2:
+    if seed % 3 == 0:
         return scene
-    return replace(scene, chamfer_m=rng.uniform(0.3, 1.0) * min(MOST_CHAMFER_M, 0.8 * scene.joint_depth_m))
+    if seed % 3 == 1:
+        chamfer = rng.uniform(0.3, 1.0) * min(MOST_CHAMFER_M, 0.8 * scene.joint_depth_m)
+        return replace(scene, chamfer_m=chamfer)
+    depth = rng.uniform(*FILLED_DEPTHS_M)
+    return replace(
+        scene,
+        joint_depth_m=depth,
+        chamfer_m=FILLED_CHAMFER * depth,
+        lift_m=min(scene.lift_m, 0.4 * depth),
+        joint_tone=rng.uniform(*FILLED_TONES),
+    )
 
 
 def measure(regime: Regime, seed: int) -> Outcome | None:
@@ -155,13 +168,16 @@ def run(options: Options) -> Result:
             f"{seeds} random pavings for each regime (800 x 600, tilt 25° to 65°, noise 1 to 3 grey levels, "
             "noisy ones 10 to 30), fitted by the last stage from the truth; the pose and covariance are "
             "those that `align` reports. Joints are 8 to 14 mm wide and 3 to 8 mm deep, in a sun 25° to 65° "
-            "high from anywhere, with 30 to 60 % of the light from the sky. The rims of every second paving "
-            "with sunk joints are bevelled by 0.7 to 3 mm. Irregular slabs lie aside by a standard deviation "
-            "of 1.5 or 2 mm (with irregular courses by 1 mm, and the courses as a whole by 1.5 mm), too high "
-            "or low by half of that, and turned by 0.05°; even ones lie just where they ought to. Printed "
-            "ones are flat joints whose two sides look alike, through a perfect lens: they are covered too "
-            "often, as the covariance allows for more than that. Every regime counts. Errors are normalised "
-            "by the stated covariance; the medians should be 2.4 (rotation), 5.3 (pose) and 0.45 (focal)."
+            "high from anywhere, with 30 to 60 % of the light from the sky. Of three pavings with sunk "
+            "joints one has sawn rims, one rims that are bevelled by 0.7 to 3 mm, and one joints that are "
+            "filled to within 1 to 5 mm of the slabs' tops, bevelled or worn down to that, by anything from "
+            "dark soil to what is nearly as light as the slabs. Irregular slabs lie aside by a standard "
+            "deviation of 1.5 or 2 mm (with irregular courses by 1 mm, and the courses as a whole by 1.5 "
+            "mm), too high or low by half of that, and turned by 0.05°; even ones lie just where they ought "
+            "to. Printed ones are flat joints whose two sides look alike, through a perfect lens: they are "
+            "covered too often, as the covariance allows for more than that. Every regime counts. Errors are "
+            "normalised by the stated covariance; the medians should be 2.4 (rotation), 5.3 (pose) and 0.45 "
+            "(focal)."
         ),
         figures=(
             Figure("truth.pose", covered([o.pose for o in found], 6)),
