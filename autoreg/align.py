@@ -30,7 +30,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.sight import Sight, see
 from autoreg.image import as_gray
-from autoreg.paving.lattice_choice import Paving
+from autoreg.paving.lattice_evidence import Paving
 from autoreg.rows.cross_joints import common_lean
 from autoreg.rows.rows import Rows
 from autoreg.search import find_paving, find_rows, other_camera, upright_by

@@ -20,9 +20,9 @@ from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.points import inside_convex, lengths, on_ground, project_ground
 from autoreg.ground.sides import visible_sides
 from autoreg.ground.sight import Sight, see
-from autoreg.paving.lattice_choice import Paving, alike, has_ratio, presented
+from autoreg.paving.lattice_evidence import Paving, alike, has_ratio, presented
 from autoreg.paving.lay import refine_in_field
-from autoreg.paving.presence import LEAST_SIDE_PX, presence_of
+from autoreg.paving.side_support import LEAST_SIDE_PX, Effort, presence_of
 from autoreg.search import find_on
 from autoreg.segments import Segments
 
@@ -47,7 +47,7 @@ SAME_GROUND_RAD = np.radians(2.0)
 # may be one: by a camera that is off by a fifth they change by as much from one part of it to another.
 ALIKE = 0.2
 # All the sides of a field, so that its extent is told.
-ALL_SIDES = 6000
+WHOLE = Effort(sides=6000)
 # Steps along each side of a field's outline, which a lens bends, and what paint is mixed from: a picture of
 # this share of the size, over this share of its longer side.
 OUTLINE_STEPS, PAINT_SCALE, PAINT_REACH = 40, 0.125, 0.08
@@ -81,7 +81,7 @@ def largest_field(
     if _suits(whole, slab) != suits:
         return found if suits else whole
     assert whole.within is not None
-    known = presence_of(sight.looks.picture, found.fit, limit=ALL_SIDES).field
+    known = presence_of(sight.looks.picture, found.fit, WHOLE).field
     seen = min(_sight_of(found.fit), _sight_of(whole.fit))
     return whole if _area(whole.fit, whole.within, seen) > _area(found.fit, known, seen) else found
 
@@ -208,7 +208,7 @@ def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
     # In the part, a pixel may stand for less.
     strip = other.fit.strip.resized(own.fx / other.fit.camera.fx)
     fit = refine_in_field(picture, replace(other.fit, camera=own, strip=strip), other.presence.field)
-    presence = presence_of(picture, fit, limit=ALL_SIDES)
+    presence = presence_of(picture, fit, WHOLE)
     # A part may be seen many times as finely as the whole, which shows nothing of its slabs then.
     whole = presented(picture, fit, within=presence.field) if len(presence.p) else None
     return None if whole is None or whole.margin_nats <= 0 else whole
@@ -217,7 +217,7 @@ def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
 def _sight_of(fit: Fit) -> float:
     """How many camera heights away the picture still shows single slabs of a lattice."""
     sides = visible_sides(
-        fit.camera, fit.cam_from_ground, fit.grid, reach=REACH, min_px=LEAST_SIDE_PX, limit=ALL_SIDES
+        fit.camera, fit.cam_from_ground, fit.grid, reach=REACH, min_px=LEAST_SIDE_PX, limit=WHOLE.sides
     )
     foot = fit.cam_from_ground.origin_in_a
     return float(lengths(sides.middle - foot[:2]).max(initial=0.0) / foot[2])

@@ -17,7 +17,8 @@ from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal, like_wall
 from autoreg.ground.sight import Looks, Sight, see
 from autoreg.paving.bond import bond_of_places
-from autoreg.paving.lattice_choice import PLAIN_NATS, Paving, rival, suited
+from autoreg.paving.lattice_choice import suited
+from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving, rival
 from autoreg.paving.lay import lay_bond, lay_combs, lay_first, lay_lattice
 from autoreg.paving.plane_combs import (
     PROMISING_NATS,

@@ -18,7 +18,7 @@ from autoreg.camera_files import read_camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid
 from autoreg.lattice import Lattice
-from autoreg.paving.lattice_choice import Paving
+from autoreg.paving.lattice_evidence import Paving
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
 
 ROOT = Path(__file__).resolve().parents[1]

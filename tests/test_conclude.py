@@ -27,12 +27,13 @@ from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.points import on_ground, project_ground
 from autoreg.ground.sides import ALONG_Y, Grid
-from autoreg.paving.presence import Presence, side_presence
+from autoreg.paving.presence import Presence
+from autoreg.paving.side_support import presence_of
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 
-def presence_of(photo: SyntheticPhoto, fit: Fit) -> Presence:
-    return side_presence(gray_of(photo), fit.camera, fit.cam_from_ground, fit.grid, fit.strip)
+def presence_in(photo: SyntheticPhoto, fit: Fit) -> Presence:
+    return presence_of(gray_of(photo), fit)
 
 
 def seen_from(presence: Presence, fit: Fit, pose: Rigid) -> Presence:
@@ -76,7 +77,7 @@ def test_the_frame_is_the_same_whichever_equivalent_the_fit_was_told_in(
     photo: SyntheticPhoto = request.getfixturevalue(f"{name}_photo")
     turns = (0, 1, 2, 3) if name == "stack" else (0, 2)
     poses: list[Rigid] = []
-    presence = presence_of(photo, fit)
+    presence = presence_in(photo, fit)
     for q, pose in zip(turns, symmetric_poses(fit.cam_from_ground, fit.grid), strict=True):
         # Whole slabs away as well.
         a, b = (fit.grid.spacing_x or 0.0), fit.grid.spacing_y
@@ -95,7 +96,7 @@ def test_y_points_away_from_the_camera_and_the_origin_is_in_the_picture(
 ):
     fit: Fit = request.getfixturevalue(f"{name}_fit")
     photo: SyntheticPhoto = request.getfixturevalue(f"{name}_photo")
-    pose = canonical_frame(fit, presence_of(photo, fit), None).pose(fit.cam_from_ground)
+    pose = canonical_frame(fit, presence_in(photo, fit), None).pose(fit.cam_from_ground)
     least = np.cos(np.radians(45.0)) if name == "stack" else 0.0
     ahead = pose.R[2, :2] / np.linalg.norm(pose.R[2, :2])
     assert ahead[1] > least - 1e-9
@@ -112,7 +113,7 @@ def test_a_bond_has_its_name(grid: Grid, kind: str):
 
 
 def test_the_lattice_is_described_in_metres(half_fit: Fit, half_photo: SyntheticPhoto):
-    presence = presence_of(half_photo, half_fit)
+    presence = presence_in(half_photo, half_fit)
     frame = canonical_frame(half_fit, presence, None)
     lattice = describe_lattice(half_fit, presence, frame, 2.0)
     assert (lattice.kind, lattice.shift) == ("running", 0.5)
@@ -128,7 +129,7 @@ def test_the_lattice_is_described_in_metres(half_fit: Fit, half_photo: Synthetic
 def test_joints_are_named_by_where_they_lie(name: str, request: pytest.FixtureRequest):
     fit: Fit = request.getfixturevalue(f"{name}_fit")
     photo: SyntheticPhoto = request.getfixturevalue(f"{name}_photo")
-    frame = canonical_frame(fit, presence_of(photo, fit), None)
+    frame = canonical_frame(fit, presence_in(photo, fit), None)
     joints = fitted_joints(fit, frame)
     grid, pose = frame.grid(fit.grid), frame.pose(fit.cam_from_ground)
     assert grid.spacing_x is not None
@@ -164,7 +165,7 @@ def test_short_cross_joints_are_named_as_well_and_end_where_they_were_measured(
     # One station on each side, as the short sides of slabs seen from afar have.
     first = np.unique(half_fit.stations.side, return_index=True)[1]
     fit = replace(half_fit, usable=half_fit.usable & np.isin(np.arange(len(half_fit.usable)), first))
-    frame = canonical_frame(fit, presence_of(half_photo, fit), None)
+    frame = canonical_frame(fit, presence_in(half_photo, fit), None)
     cross = [joint for joint in fitted_joints(fit, frame) if joint.family == "y"]
     told = fit.usable & (fit.stations.family == ALONG_Y) & (np.abs(fit.distances_px) < 3.0 * fit.sigma_px)
     assert len(cross) == told.sum() > 10

@@ -13,7 +13,8 @@ from autoreg.ground.rectify import Window
 from autoreg.ground.sides import ALONG_X
 from autoreg.ground.sight import see
 from autoreg.paving import lattice_choice
-from autoreg.paving.lattice_choice import Paving, settle_bond
+from autoreg.paving.lattice_choice import settle_bond
+from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.multiples import divided
 from autoreg.search import find_paving, other_camera
 from autoreg.segments import Segments

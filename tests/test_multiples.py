@@ -7,10 +7,10 @@ from paved import HALF_BOND, STACK, fit_of, gray_of, misses
 
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
-from autoreg.paving.lattice_choice import Paving, presented
+from autoreg.paving.lattice_evidence import Paving, presented
 from autoreg.paving.lay import of_single_slabs
 from autoreg.paving.multiples import MOST, divided, slabs_in_one, too_long
-from autoreg.paving.presence import presence_of
+from autoreg.paving.side_support import presence_of
 from autoreg.synthetic import SyntheticPhoto, render_paving
 
 # Blocks of which many are in the picture.

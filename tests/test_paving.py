@@ -13,22 +13,14 @@ from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides, visible_sides
 from autoreg.ground.sight import looks_at
 from autoreg.joints.joint_looks import Strip
-from autoreg.paving.lattice_choice import (
-    Paving,
-    carry,
-    of_joints_alone,
-    presented,
-    rival,
-    same_lattice,
-    settle_bond,
-    suited,
-    with_pattern,
-)
+from autoreg.paving.lattice_choice import carry, of_joints_alone, settle_bond, suited, with_pattern
+from autoreg.paving.lattice_evidence import Paving, presented, rival, same_lattice
 from autoreg.paving.lay import fills, lay_lattice, refine_in_field
 from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern
 from autoreg.paving.plane_combs import comb_planes
-from autoreg.paving.presence import ALONG_SAMPLES, CLOSE_SAMPLES, Presence, field_polygon, presence_of
+from autoreg.paving.presence import Presence
+from autoreg.paving.side_support import CLOSE, USUAL, Effort, presence_of
 from autoreg.segments import detect_segments
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto
@@ -198,22 +190,22 @@ def test_a_lattice_within_which_another_one_s_sides_alone_are_joints_is_known_to
         assert same_lattice(alone.fit, stack_fit)
 
 
-@pytest.mark.parametrize("worse", [ALONG_SAMPLES, CLOSE_SAMPLES])
+@pytest.mark.parametrize("worse", [USUAL, CLOSE])
 def test_an_unclear_lattice_is_judged_by_the_look_that_shows_it_better(
-    worse: int, stack_fit: Fit, stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
+    worse: Effort, stack_fit: Fit, stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
 ):
-    gray, looks = gray_of(stack_photo), dict[int, Presence]()
+    gray, looks = gray_of(stack_photo), dict[Effort, Presence]()
 
-    def look(picture: np.ndarray, fit: Fit, *, along_samples: int = ALONG_SAMPLES, **options: object):
-        presence = presence_of(gray, fit, along_samples=along_samples)
-        dim = np.maximum(presence.p, 0.05) if along_samples == worse else presence.p
-        return looks.setdefault(along_samples, replace(presence, p=dim))
+    def look(picture: np.ndarray, fit: Fit, effort: Effort = USUAL, **options: object):
+        presence = presence_of(gray, fit, effort)
+        dim = np.maximum(presence.p, 0.05) if effort == worse else presence.p
+        return looks.setdefault(effort, replace(presence, p=dim))
 
-    monkeypatch.setattr("autoreg.paving.lattice_choice.presence_of", look)
-    monkeypatch.setattr("autoreg.paving.lattice_choice.PLAIN_NATS", np.inf)
+    monkeypatch.setattr("autoreg.paving.lattice_evidence.presence_of", look)
+    monkeypatch.setattr("autoreg.paving.lattice_evidence.PLAIN_NATS", np.inf)
     paving = presented(gray, stack_fit)
     assert paving is not None
-    better = looks[ALONG_SAMPLES if worse == CLOSE_SAMPLES else CLOSE_SAMPLES]
+    better = looks[USUAL if worse == CLOSE else CLOSE]
     assert len(looks) == 2
     assert paving.presence is better
 
@@ -255,7 +247,7 @@ def test_from_a_roughly_known_plane_to_the_lattice(name: str, request: pytest.Fi
 
 
 def test_a_fit_fills_the_field_that_it_was_made_in_and_no_other(stack_fit: Fit, stack_photo: SyntheticPhoto):
-    field = field_polygon(presence_of(gray_of(stack_photo), stack_fit))
+    field = presence_of(gray_of(stack_photo), stack_fit).field
     fit = refine_in_field(gray_of(stack_photo), stack_fit, field)
     assert fills(fit, field)
     part = field.mean(0) + 0.7 * (field - field.mean(0))

@@ -12,7 +12,7 @@ from autoreg.camera import Camera
 from autoreg.geometry import angle_between_rotations
 from autoreg.ground.rectify import near_reach, rectify
 from autoreg.ground.sight import Look, Sight, see
-from autoreg.paving.lattice_choice import Paving
+from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.periods import Comb, best_combs
 from autoreg.paving.plane_combs import OTHER_FOCALS, PlaneCombs, comb_planes, with_other_focals
 from autoreg.synthetic import SyntheticPhoto, render_paving

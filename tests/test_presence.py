@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -10,41 +11,42 @@ from hypothesis import strategies as st
 from made_sides import made_presence, presence_with
 from paved import CAMERA, STACK, fit_of, gray_of
 
+from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
+from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.points import inside_convex, on_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
 from autoreg.joints.joint_looks import Strip
-from autoreg.paving.lattice_choice import line_evidence
-from autoreg.paving.presence import (
-    CLOSE_SAMPLES,
-    GROUND_COST,
-    Presence,
-    field_polygon,
-    looked_at_closer,
-    p_llr,
-    side_presence,
-)
-from autoreg.paving.presence import presence_of as paving_presence
+from autoreg.paving.lattice_evidence import line_evidence
+from autoreg.paving.presence import GROUND_COST, Presence, p_llr
+from autoreg.paving.side_support import CLOSE, looked_at_closer, presence_of
 from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
 from benchmarks.suites.robust import square_seen
 
 DARK = Strip((0.01, 0.01), 0.8, (-1, -1))
 
 
-def presence_of(photo: SyntheticPhoto, grid: Grid, strip: Strip = DARK) -> Presence:
-    return side_presence(gray_of(photo), photo.camera, photo.cam_from_ground, grid, strip)
+class Laid(NamedTuple):
+    camera: Camera
+    cam_from_ground: Rigid
+    grid: Grid
+    strip: Strip = DARK
+
+
+def presence_in(photo: SyntheticPhoto, grid: Grid, strip: Strip = DARK) -> Presence:
+    return presence_of(gray_of(photo), Laid(photo.camera, photo.cam_from_ground, grid, strip))
 
 
 def test_the_sides_of_the_photographed_lattice_are_there(stack_photo: SyntheticPhoto):
-    presence = presence_of(stack_photo, Grid(0.6, 0.4))
+    presence = presence_in(stack_photo, Grid(0.6, 0.4))
     assert len(presence.p) > 60
     for family in (ALONG_X, ALONG_Y):
         assert np.mean(presence.p[presence.sides.family == family] < 0.1) > 0.9
 
 
 def test_the_sides_that_a_lattice_too_fine_puts_between_the_joints_are_not(stack_photo: SyntheticPhoto):
-    presence = presence_of(stack_photo, Grid(0.3, 0.4))
+    presence = presence_in(stack_photo, Grid(0.3, 0.4))
     columns = presence.sides.family == ALONG_Y
     odd = columns & (presence.sides.line % 2 == 1)
     assert np.median(presence.p[columns & ~odd]) < 0.05
@@ -52,7 +54,7 @@ def test_the_sides_that_a_lattice_too_fine_puts_between_the_joints_are_not(stack
 
 
 def test_on_gravel_the_p_values_are_uniform(gravel_photo: SyntheticPhoto):
-    p = presence_of(gravel_photo, Grid(0.37, 0.31), replace(DARK, polarity=(0, 0))).p
+    p = presence_in(gravel_photo, Grid(0.37, 0.31), replace(DARK, polarity=(0, 0))).p
     assert len(p) > 150
     for level in (0.1, 0.3, 0.5, 0.8):
         # Sides beside one another see the same stones, so that the spread is wider than a binomial's.
@@ -60,14 +62,14 @@ def test_on_gravel_the_p_values_are_uniform(gravel_photo: SyntheticPhoto):
 
 
 def test_a_joint_of_the_other_tone_is_not_there(stack_photo: SyntheticPhoto):
-    light = presence_of(stack_photo, Grid(0.6, 0.4), replace(DARK, polarity=(1, 1)))
+    light = presence_in(stack_photo, Grid(0.6, 0.4), replace(DARK, polarity=(1, 1)))
     assert np.mean(light.p < 0.1) < 0.3
 
 
 def test_a_camera_that_looks_at_the_sky_sees_no_side():
     up = look_at_ground(pitch_deg=-40.0, height_m=1.6)
     flat = np.zeros((CAMERA.height, CAMERA.width), np.float32)
-    assert len(side_presence(flat, CAMERA, up, Grid(0.4, 0.4), DARK).p) == 0
+    assert len(presence_of(flat, Laid(CAMERA, up, Grid(0.4, 0.4))).p) == 0
 
 
 @pytest.mark.parametrize("missed", [0.1, 0.4, 0.7])
@@ -85,7 +87,7 @@ def test_a_smaller_p_value_speaks_more_for_a_side(p: float, q: float):
 
 
 def test_the_nearest_share_is_that_of_the_largest_sides(stack_photo: SyntheticPhoto):
-    presence = presence_of(stack_photo, Grid(0.6, 0.4))
+    presence = presence_in(stack_photo, Grid(0.6, 0.4))
     near = presence.nearest(0.25)
     assert len(near.p) == round(0.25 * len(presence.p))
     assert near.size_px.min() >= np.sort(presence.size_px)[-len(near.p)]
@@ -95,7 +97,7 @@ def test_the_field_is_where_the_sides_are_there_and_convex():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
     middle = sides.ends.mean(1)
     paved = (middle < 5.01).all(1)
-    field = field_polygon(made_presence(paved))
+    field = made_presence(paved).field
     assert inside_convex(middle[paved & (middle > 0.9).all(1) & (middle < 4.1).all(1)], field, 0.0).all()
     beyond = inside_convex(middle, field, 0.0) & ~(middle < 7.1).all(1)
     assert not beyond.any()
@@ -111,7 +113,7 @@ def test_a_lone_side_far_off_does_not_stretch_the_field():
     presence = presence_with(sides, np.where(paved, 0.01, 0.9))
     p = presence.p.copy()
     p[np.linalg.norm(middle, axis=1).argmax()] = 0.01
-    assert field_polygon(replace(presence, p=p)) == pytest.approx(field_polygon(presence))
+    assert replace(presence, p=p).field == pytest.approx(presence.field)
 
 
 def test_sides_with_no_more_support_than_what_lies_beside_them_are_clutter():
@@ -122,7 +124,7 @@ def test_sides_with_no_more_support_than_what_lies_beside_them_are_clutter():
     p = np.where(paved, 0.01, rng.uniform(0.0, 0.15, len(sides)))
     beaten = np.where(paved, 0.0, rng.uniform(0.0, 1.0, len(sides)))
     presence = presence_with(sides, p, beaten)
-    field = field_polygon(presence)
+    field = presence.field
     assert inside_convex(middle[(middle < 5.6).all(1) & (middle > 0.4).all(1)], field, 0.0).all()
     assert field.max() < 7.2
 
@@ -152,8 +154,8 @@ def terrace(low: tuple[float, float]) -> tuple[np.ndarray, Fit, np.ndarray]:
 
 def test_a_small_field_is_clearer_among_its_own_controls():
     picture, fit, paved = terrace((380.0, 300.0))
-    presence = paving_presence(picture, fit)
-    closer = looked_at_closer(picture, fit, presence, CLOSE_SAMPLES)
+    presence = presence_of(picture, fit)
+    closer = looked_at_closer(picture, fit, presence, CLOSE)
     assert len(closer.p) < 0.2 * len(presence.p)
     u, v = np.round(closer.at_px).astype(int).T
     rim = cv2.dilate(paved.astype(np.uint8), np.ones((9, 9))) > 0
@@ -168,7 +170,7 @@ def test_no_part_of_gravel_is_a_small_field(gravel_photo: SyntheticPhoto, stack_
     gray, gained = gray_of(gravel_photo), []
     for side in (0.2, 0.25, 0.3, 0.35, 0.4, 0.5):
         fit = replace(stack_fit, grid=Grid(side, 0.8 * side))
-        closer = looked_at_closer(gray, fit, paving_presence(gray, fit), CLOSE_SAMPLES)
+        closer = looked_at_closer(gray, fit, presence_of(gray, fit), CLOSE)
         gained.append(sum(line_evidence(closer, fit.grid)) - GROUND_COST)
     assert max(gained) < 4.0
     assert np.median(gained) < 0.0
@@ -177,7 +179,7 @@ def test_no_part_of_gravel_is_a_small_field(gravel_photo: SyntheticPhoto, stack_
 def test_no_sides_span_no_field():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 3.0)).take(np.zeros(0, int))
     with pytest.raises(ValueError, match="no sides"):
-        field_polygon(presence_with(sides, np.zeros(0)))
+        _ = presence_with(sides, np.zeros(0)).field
 
 
 def test_the_origin_moves_on_the_ground_and_the_camera_stays(stack_fit: Fit):
@@ -189,5 +191,5 @@ def test_the_origin_moves_on_the_ground_and_the_camera_stays(stack_fit: Fit):
 
 
 def test_the_same_photo_gives_the_same_p_values_twice(stack_photo: SyntheticPhoto):
-    once, again = (presence_of(stack_photo, Grid(*STACK.spacing_m)) for _ in range(2))
+    once, again = (presence_in(stack_photo, Grid(*STACK.spacing_m)) for _ in range(2))
     assert (once.p == again.p).all()

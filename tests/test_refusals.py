@@ -12,8 +12,8 @@ from autoreg.answer.refusals import FEW_SIDES, FRONTAL_DEG, ambiguous, maybe_wal
 from autoreg.camera import Camera
 from autoreg.ground.sides import Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS
-from autoreg.paving.lattice_choice import TESTED_NATS, Paving
-from autoreg.paving.presence import presence_of
+from autoreg.paving.lattice_evidence import TESTED_NATS, Paving
+from autoreg.paving.side_support import presence_of
 from autoreg.rows.cross_joints import Lean
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 

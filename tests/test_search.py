@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from autoreg.ground.sight import Sight, see
-from autoreg.paving.lattice_choice import Paving
+from autoreg.paving.lattice_evidence import Paving
 from autoreg.search import find_paving
 from autoreg.segments import Detection, Segments
 from autoreg.synthetic import SyntheticPhoto

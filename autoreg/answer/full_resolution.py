@@ -23,8 +23,9 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight
 from autoreg.paving.corrections import by_measured_shifts
 from autoreg.paving.inner_joints import inner_share
-from autoreg.paving.lattice_choice import Paving, has_ratio, line_evidence, of_joints_alone, presented
-from autoreg.paving.presence import presence_of
+from autoreg.paving.lattice_choice import of_joints_alone
+from autoreg.paving.lattice_evidence import Paving, has_ratio, line_evidence, presented
+from autoreg.paving.side_support import presence_of
 from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows

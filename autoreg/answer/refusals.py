@@ -9,7 +9,7 @@ from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.ground.ground_planes import FRONTAL_RAD, LEVEL_RAD
 from autoreg.paving.bond import FALSE_ALARM_NATS
-from autoreg.paving.lattice_choice import RIVAL_NATS, TESTED_NATS, Paving
+from autoreg.paving.lattice_evidence import RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows.rows import Rows
 
 # Fewer sides than this are a few joints, however clear.

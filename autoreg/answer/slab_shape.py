@@ -17,7 +17,7 @@ from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import WIDE_SEARCH, refine
 from autoreg.geometry import Rigid, nearest_rotation
-from autoreg.paving.lattice_choice import Paving, has_ratio, presented
+from autoreg.paving.lattice_evidence import Paving, has_ratio, presented
 from autoreg.paving.lay import FIELD_REACH, OUTWARDS, STATIONS
 from autoreg.solve import joint_data as terms
 from autoreg.solve.freedom import Free, log_stretch

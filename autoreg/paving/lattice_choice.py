@@ -1,4 +1,4 @@
-"""Which lattice the sides of slabs show: its bond, multiples and parts of its spacings, and rivals.
+"""Which lattice the sides of slabs show: its bond, multiples and parts of its spacings.
 
 A lattice found as two combs may be twice as fine, or as coarse, as the slabs, and says nothing of their bond.
 The presence of every single slab side tells.
@@ -6,7 +6,7 @@ The presence of every single slab side tells.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -14,111 +14,22 @@ from jaxtyping import Float
 from autoreg.fitting.fit import Fit
 from autoreg.ground.ground_frame import turned, with_origin
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
-from autoreg.paving.bond import FALSE_ALARM_NATS, customary_shift
+from autoreg.paving.bond import customary_shift
+from autoreg.paving.lattice_evidence import Paving, has_ratio, presented, same_lattice
 from autoreg.paving.multiples import divided
-from autoreg.paving.patterns import Pattern, best_pattern, broken, outstanding, skipping, true_sides
-from autoreg.paving.presence import (
-    ALONG_SAMPLES,
-    CLOSE_SAMPLES,
-    GROUND_COST,
-    Presence,
-    looked_at_closer,
-    presence_of,
-)
-from autoreg.solve.freedom import log_stretch
+from autoreg.paving.patterns import Pattern, best_pattern, outstanding, skipping, true_sides
+from autoreg.paving.presence import Presence
+from autoreg.paving.side_support import Effort, presence_of
 
-# What a hypothesis must beat: spacings x phases of either family, times orientations of the ground.
-TESTED_NATS = 2 * float(np.log(7000)) + float(np.log(24))
-# Sides of one unbroken line stand and fall together: a line counts as at most this many independent ones.
-INDEPENDENT_SIDES = 3.0
-# Logarithm by which the sides' ratio in the photo may differ from the given one: coarse fits, uneven slabs
-# and nominal sizes without the joint stay below it.
-RATIO_TOLERANCE = 0.08
 # A start whose sides carry less, in the best pattern of the clearer family, leads nowhere. Nor do most where
 # the other family carries less than the second: it did in 200 of 340 that led nowhere, but also in one of 180
 # that led to a lattice, of which the start had every second joint, or something beside it.
 HOPEFUL_NATS, LEAST_HOPEFUL_NATS = 3.0, 0.0
-# A lattice this close to the best one is as good an answer, and another one if its spacings or its shift
-# differ by more than these.
-RIVAL_NATS, SAME_SPACING, SAME_SHIFT = 3.0, 0.05, 0.05
-# How much better a finer lattice must explain the sides between the joints.
-SUBDIVIDE_NATS = 6.0
+# How much better a finer lattice must explain the sides between the joints, and how closely these are looked
+# at: the largest in the picture tell.
+SUBDIVIDE_NATS, BETWEEN = 6.0, Effort(sides=180, controls=900)
 # How much better than a lattice a pattern of its absent sides must explain them to speak against it.
 DEPARTS_NATS = 10.0
-# Beyond this margin a lattice is plain to see. Where it is less, a small field is looked at by itself, unless
-# it is so little that nothing comes of it.
-PLAIN_NATS, NOTHING_NATS = 40.0, -25.0
-# Crossings of two lattices that are nearer to each other than this, in slabs, are the same.
-SAME_PLACE = 1e-3
-# Sides that tell it, the largest in the picture, and places between them that they are held against.
-SUBDIVIDE_SIDES, SUBDIVIDE_CONTROLS = 180, 900
-
-
-@dataclass(frozen=True)
-class Paving:
-    """A lattice on the ground with the pose that sees it.
-
-    `evidence_nats` is the logarithm of the likelihood ratio of this lattice to chance, for the sides along X
-    and along Y, unpenalised. `closer` are the sides of a small field, where it was looked at by itself.
-    `within` is the convex part of the ground, in the fit's frame, whose sides alone count; None for all.
-    """
-
-    fit: Fit
-    presence: Presence
-    evidence_nats: tuple[float, float]
-    closer: Presence | None = None
-    within: Float[np.ndarray, "k 2"] | None = None
-
-    @property
-    def grid(self) -> Grid:
-        """The lattice."""
-        return self.fit.grid
-
-    @property
-    def clearest(self) -> Presence:
-        """The sides that tell most of the bond."""
-        return self.closer or self.presence
-
-    @property
-    def margin_nats(self) -> float:
-        """Evidence beyond what the number of tested hypotheses demands, of the weaker family in any case."""
-        return min(
-            sum(self.evidence_nats) - TESTED_NATS - FALSE_ALARM_NATS,
-            2.0 * (min(self.evidence_nats) - 0.5 * TESTED_NATS),
-        )
-
-    @property
-    def plain(self) -> bool:
-        """Whether it is plain to see over the picture, so that no other lattice need be looked for.
-
-        A small field may be all that a bad fit has met of a large one.
-        """
-        return self.closer is None and self.margin_nats > PLAIN_NATS
-
-
-def rival(pavings: tuple[Paving, ...]) -> Paving | None:
-    """The first of the pavings whose lattice differs from the best one's and explains the picture as well."""
-    best = pavings[0]
-    for other in pavings[1:]:
-        if other.margin_nats < max(0.0, best.margin_nats - RIVAL_NATS):
-            break
-        if not alike(best, other, SAME_SPACING):
-            return other
-    return None
-
-
-def alike(one: Paving, other: Paving, spacing: float) -> bool:
-    """Whether two lattices have about the same shift, and the same spacings to so large a share of them."""
-    apart = abs(other.grid.shift - one.grid.shift)
-    if SAME_SHIFT < apart < 1.0 - SAME_SHIFT:
-        return False
-    return np.allclose(_sides_in_heights(one), _sides_in_heights(other), rtol=spacing)
-
-
-def _sides_in_heights(paving: Paving) -> list[float]:
-    """The slab's sides in camera heights, the shorter one first: fits differ in their units."""
-    height = float(paving.fit.cam_from_ground.origin_in_a[2])
-    return sorted(side / height for side in (paving.grid.spacing_x or 0.0, paving.grid.spacing_y))
 
 
 def suited(
@@ -157,13 +68,6 @@ def of_joints_alone(picture: Float[np.ndarray, "h w"], paving: Paving) -> Paving
     wider = with_pattern(paving.fit, whole, along_y) or paving.fit
     fit = with_pattern(wider, along_x, whole) or wider
     return None if fit is paving.fit else presented(picture, fit, within=paving.within)
-
-
-def has_ratio(grid: Grid, slab: tuple[float, float]) -> bool:
-    """Whether a lattice's sides may be in the ratio of a slab's, in either order."""
-    if grid.spacing_x is None:
-        return True
-    return abs(log_stretch(grid.spacing_x, grid.spacing_y, slab)) < RATIO_TOLERANCE
 
 
 def settle_bond(
@@ -216,47 +120,6 @@ def hopeful(presence: Presence, *, both: bool) -> bool:
     return max(best) > HOPEFUL_NATS and (min(best) > LEAST_HOPEFUL_NATS or not both)
 
 
-def same_lattice(one: Fit, other: Fit) -> bool:
-    """Whether two fits have the same joints, up to rounding; their origins may be different crossings."""
-    grids = [(fit.grid.spacing_x or 0.0, fit.grid.spacing_y, fit.grid.shift) for fit in (one, other)]
-    R = one.cam_from_ground.R
-    if not (np.allclose(grids[0], grids[1]) and np.allclose(R, other.cam_from_ground.R)):
-        return False
-    x, y, _ = R.T @ (other.cam_from_ground.t - one.cam_from_ground.t)
-    row = y / one.grid.spacing_y
-    places = np.array([row, x / (one.grid.spacing_x or np.inf) - row * one.grid.shift])
-    return bool(np.abs(places - np.round(places)).max() < SAME_PLACE)
-
-
-def presented(
-    picture: Float[np.ndarray, "h w"],
-    fit: Fit,
-    presence: Presence | None = None,
-    *,
-    within: Float[np.ndarray, "k 2"] | None = None,
-) -> Paving | None:
-    """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do.
-
-    Where a convex part of the ground is given, in the fit's frame, the sides `within` it alone.
-    """
-    presence = presence or presence_of(picture, fit, field=within)
-    if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
-        return None
-    paving = Paving(fit, presence, line_evidence(presence, fit.grid), within=within)
-    if not NOTHING_NATS < paving.margin_nats < PLAIN_NATS:
-        return paving
-    # Noise hides joints that more samples show; where slabs are uneven, these show no more.
-    presence = presence_of(picture, fit, field=within, along_samples=CLOSE_SAMPLES)
-    thorough = replace(paving, presence=presence, evidence_nats=line_evidence(presence, fit.grid))
-    better = max(paving, thorough, key=lambda p: p.margin_nats)
-    samples = CLOSE_SAMPLES if better is thorough else ALONG_SAMPLES
-    price = 0.5 * GROUND_COST
-    closer = looked_at_closer(picture, fit, better.presence, samples)
-    x, y = _evidence_of(closer, fit.grid)
-    alone = replace(better, evidence_nats=(x - price, y - price), closer=closer)
-    return max(better, alone, key=lambda p: p.margin_nats)
-
-
 def _subdivided(picture: Float[np.ndarray, "h w"], fit: Fit) -> Fit | None:
     """The fit with a finer lattice, if sides are there between the joints of the one it has."""
     if fit.grid.spacing_x is None:
@@ -275,9 +138,7 @@ def _finer(picture: Float[np.ndarray, "h w"], fit: Fit, factor: int, family: int
     fine = divided(fit, family, factor)
     if fine is None:
         return None
-    presence = presence_of(
-        picture, fine, limit=SUBDIVIDE_SIDES, only=family, controls_wanted=SUBDIVIDE_CONTROLS
-    )
+    presence = presence_of(picture, fine, BETWEEN, only=family)
     best = best_pattern(presence, family)
     same = Pattern(factor, carry(fit.grid, factor), 0, 0.0)
     known = next(p for p in best if p.same_sides(same))
@@ -324,28 +185,3 @@ def with_pattern(fit: Fit, along_x: Pattern, along_y: Pattern) -> Fit | None:
         cam_from_ground=turned(moved),
         strip=replace(fit.strip, width=fit.strip.width[::-1], polarity=fit.strip.polarity[::-1]),
     )
-
-
-def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
-    """Log likelihood ratio of the lattice, per family, over the part of the picture that suits best."""
-    options = [
-        tuple(evidence - 0.5 * price for evidence in _evidence_of(presence.take(np.flatnonzero(field)), grid))
-        for field, price in presence.possible_fields
-    ]
-    x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
-    return x, y
-
-
-def _evidence_of(presence: Presence, grid: Grid) -> tuple[float, float]:
-    """Log likelihood ratio of the lattice, per family, with the sides of a line taken together."""
-    total: list[float] = []
-    for family in (ALONG_X, ALONG_Y):
-        rows = np.flatnonzero(presence.sides.family == family)
-        line = presence.sides.line[rows]
-        if family == ALONG_Y and grid.shift:
-            line = line * 10_000 + presence.sides.cell[rows]
-        _, inverse = np.unique(line, return_inverse=True)
-        count = np.bincount(inverse)
-        mean = np.bincount(inverse, weights=presence.llr(rows)) / np.maximum(count, 1)
-        total.append(float((mean * np.minimum(count, INDEPENDENT_SIDES)).sum()))
-    return total[0], total[1]

@@ -22,11 +22,12 @@ from autoreg.ground.sides import Grid, visible_sides
 from autoreg.ground.sight import Look, Looks
 from autoreg.paving.bond import BondHypothesis, bond_hypotheses
 from autoreg.paving.corrections import by_measured_shifts
-from autoreg.paving.lattice_choice import Paving, hopeful, presented, settle_bond
+from autoreg.paving.lattice_choice import hopeful, settle_bond
+from autoreg.paving.lattice_evidence import Paving, presented
 from autoreg.paving.multiples import divided, slabs_in_one, too_long
 from autoreg.paving.periods import Comb, best_combs
 from autoreg.paving.plane_combs import PlaneCombs
-from autoreg.paving.presence import field_polygon, presence_of
+from autoreg.paving.side_support import Effort, presence_of
 from autoreg.solve.freedom import Free
 
 # The most starts tried on one plane after its first.
@@ -41,7 +42,7 @@ FEWER = 0.8
 # Where a round of a fit that looks farther moves its joints by less than this, farther ones are as expected.
 STEADY_PX = 0.1
 # Sides that tell whether a start is worth following.
-GLANCE_SIDES = 600
+GLANCE = Effort(sides=600)
 # Planes whose joints carry less than this are not worth another start.
 HOPELESS_NATS = 8.0
 
@@ -149,14 +150,14 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: b
     fit = _fitted(looks.picture, plane.camera, start.pose, start.grid, free, start.field)
     if fit is None:
         return None
-    presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES)
-    whole = len(presence.p) < GLANCE_SIDES
+    presence = presence_of(looks.picture, fit, GLANCE)
+    whole = len(presence.p) < GLANCE.sides
     if start.field is not None and not whole and not hopeful(presence, both=both):
         # A small field afar may have none of the sides that are largest in the picture.
-        presence = presence_of(looks.picture, fit, limit=GLANCE_SIDES, field=start.field)
+        presence = presence_of(looks.picture, fit, GLANCE, field=start.field)
     if len(presence.p) < 6 or not hopeful(presence, both=both):
         return None
-    field = field_polygon(presence)
+    field = presence.field
     if fills(fit, field):
         laid = settle_bond(looks.picture, fit, presence if whole else None)
     else:

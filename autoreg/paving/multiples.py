@@ -15,7 +15,8 @@ from jaxtyping import Float
 
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
-from autoreg.paving.presence import Presence, support_beside
+from autoreg.paving.presence import Presence
+from autoreg.paving.side_support import support_beside
 
 # The most slabs that may have been taken for one.
 MOST = 12
@@ -60,9 +61,7 @@ def slabs_in_one(picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence
     sides = mine.nearest(min(1.0, LOOKED_AT / len(mine.p))).sides
     parts = [(k, n) for n in range(2, MOST + 1) for k in range(1, n) if gcd(k, n) == 1]
     shares = np.array([0.0, *(k / n for k, n in parts)])
-    support, _, _ = support_beside(
-        picture, fit.camera, fit.cam_from_ground, fit.grid, fit.strip, sides, shares
-    )
+    support, _, _ = support_beside(picture, fit, sides, shares)
     # Ranks among the places of one cell know nothing of its contrast: uniform, if no place differs.
     # Those alike, as many without any support are, share their ranks.
     less, alike = support[:, None] > support, support[:, None] == support

@@ -17,11 +17,12 @@ from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import turned, with_origin
 from autoreg.ground.sides import ALONG_X, Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS
-from autoreg.paving.lattice_choice import TESTED_NATS, Paving, line_evidence
+from autoreg.paving.lattice_evidence import TESTED_NATS, Paving, line_evidence
 from autoreg.paving.lay import fit_outwards, refine_in_field
 from autoreg.paving.patterns import true_sides
 from autoreg.paving.plane_combs import PlaneCombs
-from autoreg.paving.presence import Presence, field_polygon, presence_of
+from autoreg.paving.presence import Presence
+from autoreg.paving.side_support import presence_of
 from autoreg.rows.along_rows import along_rows
 from autoreg.rows.cross_joints import CrossJoints, find_cross_joints, in_columns
 from autoreg.segments import Segments
@@ -94,7 +95,7 @@ def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) 
             return None
         pattern = true_sides(presence, ALONG_X)
         if pattern.period == 1 or pattern.advance:
-            return refine_in_field(picture, fit, field_polygon(presence))
+            return refine_in_field(picture, fit, presence.field)
         wider = Grid(None, fit.grid.spacing_y * pattern.period)
         pose = with_origin(fit.cam_from_ground, 0.0, pattern.phase * fit.grid.spacing_y)
         fit = replace(fit, grid=wider, cam_from_ground=pose)
@@ -106,7 +107,7 @@ def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int,
     presence = presence_of(picture, fit)
     if len(presence.p) < 6:
         return None
-    field = field_polygon(presence)
+    field = presence.field
     cross = find_cross_joints(segments, fit, field, size)
     if len(cross.middle) == 0 or not _evenly_spaced(presence, field):
         return None
