@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import UInt8
 
 from autoreg.alignment import Alignment, CameraReport, CameraSource, JointFit, Pose, Residual
 from autoreg.answer.camera_refusals import focal_implausible, focal_untold, leaning
@@ -29,11 +31,12 @@ from autoreg.fields import largest_field
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.sight import Sight, see
-from autoreg.image import as_gray
-from autoreg.paving.lattice_evidence import Paving
+from autoreg.image import as_colour, as_gray
+from autoreg.joint_tone import clearest_tone
+from autoreg.paving.lattice_evidence import SAME_SPACING, Paving, alike
 from autoreg.rows.cross_joints import common_lean
 from autoreg.rows.rows import Rows
-from autoreg.search import find_paving, find_rows, other_camera, upright_by
+from autoreg.search import find_on, find_paving, find_rows, other_camera, upright_by
 from autoreg.slabs.camera_check import check_camera
 from autoreg.solve.solver import warm_up
 from autoreg.task import Task
@@ -43,6 +46,8 @@ __all__ = ["Alignment", "CameraReport", "JointFit", "Pose", "Residual", "align",
 # Slabs tell the tilt in any case. Their camera's height goes with the focal length: where it may be wrong by
 # half, the photo has not told it.
 MOST_SLABS_FOCAL_SIGMA = 0.25
+# A tone that leaves the joints so many times as far from their lines as luminance does shows them less well.
+ROUGHER_IN_TONE = 1.6
 # Refusals that have a reason of their own, which no other camera would take away.
 OWN_REASONS = {"not_ground", "slab_mismatch", "camera_contradicted"}
 
@@ -71,8 +76,14 @@ def align(
         Refusal: the photo does not carry the answer; the reason is in its code and message.
         ValueError: an argument is out of range.
     """
+    colour = as_colour(photo)
     return align_seen(
-        see(as_gray(photo)), camera, slab=slab, camera_height=camera_height, exif_focal_px=exif_focal_px
+        see(as_gray(photo)),
+        camera,
+        slab=slab,
+        camera_height=camera_height,
+        exif_focal_px=exif_focal_px,
+        colour=None if colour is None else lambda: colour,
     )
 
 
@@ -84,22 +95,23 @@ def align_seen(
     slab: tuple[float, float] | None = None,
     camera_height: float | None = None,
     exif_focal_px: float | None = None,
+    colour: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None,
 ) -> Alignment:
-    """Like `align`, of a photo that is looked at already.
+    """Like `align`, of a photo that is looked at already; `colour` gives it in colour, if it has any.
 
     Raises:
         Refusal: the photo does not carry the answer.
         ValueError: an argument is out of range.
     """
     source: CameraSource = "photo" if camera is None else "file"
-    task = Task(sight, camera, source, slab, camera_height)
+    task = Task(sight, camera, source, slab, camera_height, colour)
     try:
         if camera is None and exif_focal_px is not None:
             return _by_exif(task, exif_focal_px)
         laid = _laid(task)
     except Refusal as refusal:
         raise _other_reason(task, refusal) or refusal from None
-    return _concluded(task, laid)
+    return _concluded(*_in_clearest_tone(task, laid))
 
 
 def _other_reason(task: Task, refusal: Refusal) -> Refusal | None:
@@ -125,7 +137,7 @@ def _by_exif(task: Task, focal_px: float) -> Alignment:
     by_exif = replace(task, camera=Camera.from_focal(width, height, focal_px), source="exif")
     found: Alignment | Refusal
     try:
-        found = _concluded(by_exif, _laid(by_exif))
+        found = _concluded(*_in_clearest_tone(by_exif, _laid(by_exif)))
         if found.camera.consistent is not False:
             return found
     except Refusal as refusal:
@@ -133,7 +145,7 @@ def _by_exif(task: Task, focal_px: float) -> Alignment:
             raise
         found = refusal
     try:
-        own = _concluded(task, _laid(task))
+        own = _concluded(*_in_clearest_tone(task, _laid(task)))
     except Refusal:
         if isinstance(found, Refusal):
             raise found from None
@@ -157,6 +169,37 @@ def _laid(task: Task) -> Laid:
                 if refusal.code == "camera_contradicted":
                     raise
     return _laid_where(task, found)
+
+
+def _in_clearest_tone(task: Task, laid: Laid) -> tuple[Task, Laid]:
+    """What was laid, or what is in the tone in which its joints show best, with the photo in that tone."""
+    if task.colour is None:
+        return task, laid
+    colour = task.colour()
+    height, width = task.sight.looks.picture.shape
+    tone = clearest_tone(colour, laid.fit, (width, height))
+    if tone is None:
+        return task, laid
+    toned = replace(task, sight=see(tone.of(colour), toned=True))
+    try:
+        clearer = _laid_anew(toned, laid)
+    except Refusal:
+        return task, laid
+    same = alike(laid.settled, clearer.settled, SAME_SPACING)
+    better = same or clearer.settled.margin_nats > laid.settled.margin_nats
+    smooth = clearer.fit.roughness_px < ROUGHER_IN_TONE * laid.fit.roughness_px
+    return (toned, clearer) if better and smooth else (task, laid)
+
+
+def _laid_anew(task: Task, before: Laid) -> Laid:
+    """The paving in another tone: where it was before, if it is the same there.
+
+    Raises:
+        Refusal: there is none, or it cannot be one of slabs on the ground.
+    """
+    found = find_on(task.sight, before.fit.camera, before.fit.cam_from_ground.R)
+    same = found is not None and alike(before.settled, found, SAME_SPACING)
+    return _laid_where(task, found) if found is not None and same else _laid(task)
 
 
 def _laid_where(task: Task, found: Paving | Rows) -> Laid:

@@ -134,6 +134,24 @@ def as_gray(array: np.ndarray) -> UInt8[np.ndarray, "h w"]:
     Raises:
         ValueError: the array has another shape or type, or numbers outside 0 to 1.
     """
+    array = _in_eight_bits(array)
+    if array.ndim == 2:
+        return array
+    code = cv2.COLOR_BGR2GRAY if array.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
+    return np.asarray(cv2.cvtColor(array, code))
+
+
+def as_colour(array: np.ndarray) -> UInt8[np.ndarray, "h w 3"] | None:
+    """A picture in colour (BGR), 8 bits deep, from an array that `as_gray` takes; None if it has no colours.
+
+    Raises:
+        ValueError: the array has another shape or type, or numbers outside 0 to 1.
+    """
+    array = _in_eight_bits(array)
+    return None if array.ndim == 2 else np.ascontiguousarray(array[:, :, :3])
+
+
+def _in_eight_bits(array: np.ndarray) -> UInt8[np.ndarray, "h w *channels"]:
     given, array = array, np.asarray(array)
     if array.ndim == 3 and array.shape[2] == 1:
         array = array[:, :, 0]
@@ -151,11 +169,7 @@ def as_gray(array: np.ndarray) -> UInt8[np.ndarray, "h w"]:
         array = np.round(255.0 * array.astype(np.float64)).astype(np.uint8)
     elif array.dtype != np.uint8:
         raise ValueError(f"photo must be of uint8, uint16 or floating-point numbers, got {array.dtype}")
-    array = np.ascontiguousarray(array)
-    if array.ndim == 3:
-        code = cv2.COLOR_BGR2GRAY if array.shape[2] == 3 else cv2.COLOR_BGRA2GRAY
-        array = np.asarray(cv2.cvtColor(array, code))
-    return array
+    return np.ascontiguousarray(array)
 
 
 def _bytes_of(path: Path) -> bytes:

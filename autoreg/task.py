@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from autoreg.alignment import CameraSource
 from autoreg.camera import Camera
@@ -39,6 +40,7 @@ class Task:
         source: where the camera is from.
         slab: sides of a slab in metres, in either order.
         camera_height: height of the camera above the paving in metres.
+        colour: gives the photo in colour (BGR), if it has colours.
     """
 
     sight: Sight
@@ -46,6 +48,7 @@ class Task:
     source: CameraSource
     slab: tuple[float, float] | None = None
     camera_height: float | None = None
+    colour: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None
 
     def __post_init__(self) -> None:
         """Refuse what is out of range (ValueError)."""

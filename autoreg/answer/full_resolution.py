@@ -15,6 +15,7 @@ from autoreg.answer.right_angles import Squared, square_up
 from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal
 from autoreg.fitting.bare_steps import from_near_rims
+from autoreg.fitting.beds import on_slabs_level
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.lit_sides import beside_lit_sides
 from autoreg.fitting.one_edge import met_at_one_edge, with_both_edges
@@ -111,6 +112,7 @@ def measured_slabs(
     small = sight.looks.picture
     start = found if slab is None else of_slab_shape(small, found, slab, free)
     fit = from_what_shows(_measure(picture, start, free))
+    fit = on_slabs_level(fit) if sight.toned else fit
     bowed = _bowed(fit) or _turned(sight.segments, fit, found.presence.field)
     if bowed is not None:
         raise bowed

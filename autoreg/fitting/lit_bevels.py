@@ -79,13 +79,18 @@ def bevelled(
         if max(nats(bevel(*look)) for look in first) > expected
     ]
     bevels = [each for each in bevels if each.tone > 1 or bed_tone(shown, each) > LIGHT_BED]
+    bevels = [each for each in bevels if each.level * each.width <= MOST_OF_SIDE * across]
     if not bevels:
         return None
-    found = max(bevels, key=nats)
     others = [Parts(share * own) for share in AS_WIDE] + ([] if wall is None else [wall])
     plain = max(map(nats, others))
-    least = LEAST_NATS_BEDS if found.tone < 1 and strip.polarity[family] else LEAST_NATS
-    if nats(found) - plain < least or found.level * found.width > MOST_OF_SIDE * across:
+
+    def clear(each: Parts) -> bool:
+        least = LEAST_NATS_BEDS if each.tone < 1 and strip.polarity[family] else LEAST_NATS
+        return nats(each) - plain >= least
+
+    found = max(filter(clear, bevels), key=nats, default=None)
+    if found is None:
         return None
     wall_like = climbed(nats, any_wall, OF_WALLS, WALLS_AT_FIRST, EVERY_WAY)
     likelier = nats(found) - max(plain, nats(wall_like))

@@ -46,11 +46,15 @@ class Looks:
 
 @dataclass(frozen=True)
 class Sight:
-    """A photo's grey levels, its looks at detection scale, and its segments in its own pixels."""
+    """A photo's grey levels, its looks at detection scale, and its segments in its own pixels.
+
+    `toned` is whether the grey levels are not luminance but a tone in which the joints differ from all slabs.
+    """
 
     gray: UInt8[np.ndarray, "h w"]
     looks: Looks
     detection: Detection
+    toned: bool = False
 
     @property
     def size(self) -> tuple[int, int]:
@@ -63,10 +67,10 @@ class Sight:
         return self.detection.all
 
 
-def see(gray: UInt8[np.ndarray, "h w"]) -> Sight:
+def see(gray: UInt8[np.ndarray, "h w"], *, toned: bool = False) -> Sight:
     """What is to be seen in a photo."""
     detection = begin_detection(gray)
-    return Sight(gray, looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detection)
+    return Sight(gray, looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detection, toned)
 
 
 def looks_at(small: UInt8[np.ndarray, "h w"]) -> Looks:

@@ -173,6 +173,7 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
                 slab=job.slab,
                 camera_height=job.camera_height,
                 exif_focal_px=photo.exif_focal_px,
+                colour=decoded.result,
             )
         except Refusal as refusal:
             report = refused_report(job.photo, photo.width, photo.height, refusal, camera)

@@ -103,7 +103,7 @@ def examine(path: Path) -> Outcome:
     told = read_camera(path.with_name(f"{stem}.camera.json")) if truth["tell_camera"] else None
     slab = tuple(truth["slab"]) if truth["tell_slab"] else None
     try:
-        found = align(load_photo(path.with_name(f"{stem}.jpg")).gray, told, slab=slab)
+        found = align(load_photo(path.with_name(f"{stem}.jpg")).colour(), told, slab=slab)
     except Refusal:
         return Outcome(name, kind, paved, "right" if paved and truth["wrong_k"] else "refused")
     if not paved:

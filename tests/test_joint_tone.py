@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from paved import CAMERA, CHECKER, STACK, fit_of
+
+from autoreg.align import align
+from autoreg.camera import Camera
+from autoreg.fitting.bare_steps import across_slope
+from autoreg.fitting.beds import BED_BELOW, on_slabs_level
+from autoreg.fitting.fit import Fit
+from autoreg.geometry import angle_between_rotations
+from autoreg.image import as_gray
+from autoreg.joint_tone import LUMINANCE, Tone, clearest_tone
+from autoreg.synthetic import SyntheticPhoto, SyntheticScene, render_paving
+
+SIZE = (CAMERA.width, CAMERA.height)
+
+
+def in_colour(scene: SyntheticScene, joint_bgr: tuple[float, float, float]) -> SyntheticPhoto:
+    """A photo of grey slabs of uneven tone with joints of another hue; each channel has its own noise."""
+    drawn = [
+        render_paving(replace(scene, colour=False, noise_grey=0.0, joint_tone=tone)).pixels
+        for tone in joint_bgr
+    ]
+    noise = np.random.default_rng(0).normal(0.0, 1.5, (*drawn[0].shape, 3))
+    pixels = np.clip(np.round(np.stack(drawn, 2) + noise), 0, 255).astype(np.uint8)
+    return replace(render_paving(replace(scene, colour=False)), pixels=pixels)
+
+
+# Sand-coloured: blue is darker than the slabs' 150, red lighter, and luminance hardly differs from theirs.
+SAND = (95.0, 148.0, 166.0)
+UNEVEN = replace(STACK, tone_spread=0.12, texture=0.05)
+
+
+@pytest.fixture(scope="module")
+def sandy() -> SyntheticPhoto:
+    return in_colour(UNEVEN, SAND)
+
+
+@pytest.fixture(scope="module")
+def sandy_fit(sandy: SyntheticPhoto) -> Fit:
+    return fit_of(replace(sandy, pixels=np.ascontiguousarray(sandy.pixels[:, :, 0])))
+
+
+def test_joints_that_differ_by_hue_are_dark_in_the_clearest_tone(sandy: SyntheticPhoto, sandy_fit: Fit):
+    tone = clearest_tone(sandy.pixels, sandy_fit, SIZE)
+    assert tone is not None
+    # Blue against red: what slabs differ by in lightness is taken out.
+    assert tone.weights[0] > 0 > tone.weights[2]
+    assert abs(tone.weights.sum()) < 0.15 * np.abs(tone.weights).sum()
+    slab, joint = (float(tone.weights @ np.array(bgr)) for bgr in ((150.0, 150.0, 150.0), SAND))
+    assert joint < slab
+
+
+def test_the_tone_is_found_though_the_lattice_lies_beside_the_joints(sandy: SyntheticPhoto, sandy_fit: Fit):
+    ground = sandy_fit.stations.ground + 0.008
+    beside = replace(sandy_fit, stations=replace(sandy_fit.stations, ground=ground))
+    there, here = (clearest_tone(sandy.pixels, fit, SIZE) for fit in (beside, sandy_fit))
+    assert there is not None
+    assert here is not None
+    cosine = there.weights @ here.weights
+    assert cosine > 0.98 * np.linalg.norm(there.weights) * np.linalg.norm(here.weights)
+
+
+@pytest.mark.parametrize("joint_bgr", [(60.0, 60.0, 60.0), (55.0, 60.0, 64.0)])
+def test_where_luminance_is_as_good_it_stays(joint_bgr: tuple[float, float, float]):
+    photo = in_colour(STACK, joint_bgr)
+    assert clearest_tone(photo.pixels, fit_of(replace(photo, pixels=as_gray(photo.pixels))), SIZE) is None
+
+
+def test_a_grey_picture_has_no_other_tone(stack_photo: SyntheticPhoto, stack_fit: Fit):
+    grey = np.repeat(as_gray(stack_photo.pixels)[:, :, None], 3, axis=2)
+    assert clearest_tone(grey, stack_fit, SIZE) is None
+
+
+def test_tiles_without_joints_have_no_tone_that_shows_any():
+    scene = replace(CHECKER, joint_width_m=1e-6)
+    photo = in_colour(scene, (130.0, 130.0, 130.0))
+    assert clearest_tone(photo.pixels, fit_of(replace(photo, pixels=as_gray(photo.pixels))), SIZE) is None
+
+
+def test_luminance_is_what_opencv_takes_for_it(sandy: SyntheticPhoto):
+    own = Tone(LUMINANCE, 0.0).of(sandy.pixels).astype(int)
+    assert np.abs(own - as_gray(sandy.pixels)).max() <= 1
+
+
+def test_a_colour_photo_of_joints_that_luminance_hardly_shows_is_aligned_by_their_hue(sandy: SyntheticPhoto):
+    def miss_deg(photo: np.ndarray) -> float:
+        found = align(photo, sandy.camera, slab=(0.6, 0.4)).pose.cam_from_ground
+        turns = [np.diag([s, s, 1.0]) for s in (1.0, -1.0)]
+        return np.rad2deg(
+            min(angle_between_rotations(found.R @ turn, sandy.cam_from_ground.R) for turn in turns)
+        )
+
+    assert miss_deg(sandy.pixels) < 0.02
+    assert miss_deg(sandy.pixels) < 0.5 * miss_deg(as_gray(sandy.pixels))
+
+
+def test_beds_are_measured_where_they_would_be_at_the_slabs_level(stack_fit: Fit):
+    raised = on_slabs_level(stack_fit)
+    px = raised.offsets.offset_px - stack_fit.offsets.offset_px
+    # What lies lower is seen nearer to the camera: it is moved away from it.
+    away = px * np.sign(across_slope(stack_fit))
+    assert (away[stack_fit.usable] >= 0).all()
+    assert (px[~stack_fit.usable] == 0).all()
+    metres = px / stack_fit.profiles.px_per_unit
+    wide = np.array(stack_fit.strip.width)[stack_fit.stations.family]
+    rows = np.flatnonzero(stack_fit.usable)
+    np.testing.assert_allclose(metres[rows], (BED_BELOW * wide * across_slope(stack_fit))[rows], atol=1e-12)
+
+
+def test_the_camera_of_a_colour_photo_must_suit_it(sandy: SyntheticPhoto):
+    with pytest.raises(ValueError, match="the photo has 640x480"):
+        align(sandy.pixels, Camera.from_focal(480, 640, 500.0))
