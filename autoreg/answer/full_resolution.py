@@ -9,7 +9,16 @@ import numpy as np
 
 from autoreg.answer.camera_refusals import focal_untold
 from autoreg.answer.last_step import likeliest
-from autoreg.answer.pattern_refusals import arcs, askew, fanned, filled, off_lattice, one_edged, turning
+from autoreg.answer.pattern_refusals import (
+    arcs,
+    askew,
+    fanned,
+    filled,
+    off_lattice,
+    on_module,
+    one_edged,
+    turning,
+)
 from autoreg.answer.refusals import ambiguous, maybe_wall, no_lattice
 from autoreg.answer.right_angles import Squared, square_up
 from autoreg.answer.slab_shape import of_slab_shape
@@ -26,6 +35,7 @@ from autoreg.paving.corrections import by_measured_shifts
 from autoreg.paving.inner_joints import inner_share
 from autoreg.paving.lattice_choice import of_joints_alone
 from autoreg.paving.lattice_evidence import Paving, has_ratio, line_evidence, presented
+from autoreg.paving.meetings import meetings
 from autoreg.paving.side_support import presence_of
 from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
@@ -124,6 +134,9 @@ def measured_slabs(
     # Who tells the slab has told which of the two it is, unless both have its shape.
     if coarser is not None and (slab is None or has_ratio(coarser.grid, slab)):
         raise ambiguous(settled, coarser)
+    module = _on_module(settled)
+    if module is not None:
+        raise module
     full = filled(inner_share(sight.segments, fit, settled.presence.field))
     if full is not None:
         raise full
@@ -151,6 +164,13 @@ def _turned(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
     turns = (common_turn(segments, fit, field, margin=margin) for margin in margins)
     turned = next((refusal for turn in turns if (refusal := turning(turn))), None)
     return turned or askew(run) or off_lattice(turned_alike(run))
+
+
+def _on_module(paving: Paving) -> Refusal | None:
+    """The refusal of what looks like a stack bond, but is of stones of several sizes; None if it is one."""
+    if paving.grid.spacing_x is None or paving.grid.shift:
+        return None
+    return on_module(meetings(paving.presence.inside(paving.presence.field)))
 
 
 def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free) -> Squared:
