@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from autoreg.align import align
+from autoreg.align import align_seen
 from autoreg.alignment import Alignment
 from autoreg.errors import Refusal
+from autoreg.ground.sight import see
 from autoreg.image import load_photo
 from autoreg.jobs.overlay import overlay_picture
 from benchmarks.metrics import Figure
@@ -102,7 +103,7 @@ def look_at(path: Path, *, paved: bool) -> Seen:
     found: Alignment | None = None
     reason = ""
     try:
-        found = align(photo.gray, None, exif_focal_px=photo.exif_focal_px)
+        found = align_seen(see(photo.gray), None, exif_focal_px=photo.exif_focal_px, colour=photo.colour)
     except Refusal as refusal:
         reason = refusal.code
     took = time.monotonic() - began

@@ -11,13 +11,14 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.align import align
+from autoreg.align import align_seen
 from autoreg.alignment import Alignment, Pose
 from autoreg.camera import Camera
 from autoreg.camera_files import read_camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid, angle_between_rotations
 from autoreg.ground.ground_frame import turned, with_origin
+from autoreg.ground.sight import see
 from autoreg.image import load_photo
 from autoreg.synthetic import SyntheticScene
 from benchmarks.last_stage import crossings_error_px, crossings_of, pose_error
@@ -103,7 +104,8 @@ def examine(path: Path) -> Outcome:
     told = read_camera(path.with_name(f"{stem}.camera.json")) if truth["tell_camera"] else None
     slab = tuple(truth["slab"]) if truth["tell_slab"] else None
     try:
-        found = align(load_photo(path.with_name(f"{stem}.jpg")).colour(), told, slab=slab)
+        photo = load_photo(path.with_name(f"{stem}.jpg"))
+        found = align_seen(see(photo.gray), told, slab=slab, colour=photo.colour)
     except Refusal:
         return Outcome(name, kind, paved, "right" if paved and truth["wrong_k"] else "refused")
     if not paved:
