@@ -79,7 +79,9 @@ def bevelled(
         if max(nats(bevel(*look)) for look in first) > expected
     ]
     bevels = [each for each in bevels if each.tone > 1 or bed_tone(shown, each) > LIGHT_BED]
-    bevels = [each for each in bevels if each.level * each.width <= MOST_OF_SIDE * across]
+    # Joints of both families are about as wide from rim to rim, whatever of them is dark.
+    widest = WIDEST * min(strip.width)
+    bevels = [b for b in bevels if b.level * b.width <= MOST_OF_SIDE * across and b.width <= widest]
     if not bevels:
         return None
     others = [Parts(share * own) for share in AS_WIDE] + ([] if wall is None else [wall])
