@@ -6,7 +6,7 @@ with the same length, direction and neighbourhood.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -34,6 +34,7 @@ TOLERANCE_PX = 1.5
 SIZE_BINS, BIN_AT_LEAST = 4, 25
 
 
+@runtime_checkable
 class LatticeSeen(Protocol):
     """A lattice on the ground before a camera, whose joints look like strips: what a `Fit` is."""
 
