@@ -78,7 +78,7 @@ def align(
     """
     colour = as_colour(photo)
     return align_seen(
-        see(as_gray(photo)),
+        see(as_gray(photo if colour is None else colour)),
         camera,
         slab=slab,
         camera_height=camera_height,
@@ -198,8 +198,9 @@ def _laid_anew(task: Task, before: Laid) -> Laid:
         Refusal: there is none, or it cannot be one of slabs on the ground.
     """
     found = find_on(task.sight, before.fit.camera, before.fit.cam_from_ground.R)
-    same = found is not None and alike(before.settled, found, SAME_SPACING)
-    return _laid_where(task, found) if found is not None and same else _laid(task)
+    if found is None or not alike(before.settled, found, SAME_SPACING):
+        return _laid(task)
+    return _laid_where(task, found)
 
 
 def _laid_where(task: Task, found: Paving | Rows) -> Laid:
