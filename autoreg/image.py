@@ -20,6 +20,9 @@ from autoreg.errors import InputError
 from autoreg.formats.exif import focal_from_exif, read_exif, truncated
 
 MIN_SIDE_PX = 64
+# Pictures whose channels differ by less than this nearly everywhere are grey; every so many rows and columns
+# are looked at.
+COLOURLESS, COLOUR_EVERY = 4.0, 4
 _FORMATS = "JPEG, PNG, TIFF or WebP"
 _TIFF_ORIENTATION = 274
 
@@ -149,6 +152,12 @@ def as_colour(array: np.ndarray) -> UInt8[np.ndarray, "h w 3"] | None:
     """
     array = _in_eight_bits(array)
     return None if array.ndim == 2 else np.ascontiguousarray(array[:, :, :3])
+
+
+def is_colourless(colour: UInt8[np.ndarray, "h w 3"]) -> bool:
+    """Whether a picture's channels are as good as the same nearly everywhere."""
+    some = colour[::COLOUR_EVERY, ::COLOUR_EVERY].reshape(-1, 3)
+    return bool(np.quantile(np.ptp(some, axis=1), 0.95) < COLOURLESS)
 
 
 def _in_eight_bits(array: np.ndarray) -> UInt8[np.ndarray, "h w *channels"]:

@@ -17,6 +17,7 @@ import scipy.linalg
 from jaxtyping import Float, UInt8
 
 from autoreg.fitting.fit import Fit
+from autoreg.image import is_colourless
 from autoreg.joints.profiles import STEP_PX, sample_profiles
 
 # Grey levels of a BGR picture, as OpenCV makes them.
@@ -24,8 +25,6 @@ LUMINANCE = np.array([0.114, 0.587, 0.299])
 # Another tone must show the joints of the family that it shows worse so many times as clearly, and so clearly
 # against the noise of a single profile, since what is no joint shows in some tone a little, too.
 LEAST_GAIN, LEAST_CLEAR = 1.5, 0.6
-# Pictures whose channels differ by less than this nearly everywhere are grey.
-COLOURLESS = 4.0
 # How far profiles reach: so many widths of the joints, and pixels, and no less and no more than these.
 REACH_WIDTHS, REACH_PX, LEAST_REACH_PX, MOST_REACH_PX = 2.0, 4.0, 8.0, 30.0
 # Their ends, so many pixels long, show the slabs.
@@ -60,8 +59,7 @@ def clearest_tone(colour: UInt8[np.ndarray, "h w 3"], fit: Fit, size: tuple[int,
         size: width and height at which it is looked at.
     """
     small = cv2.resize(colour, size, interpolation=cv2.INTER_AREA)
-    some = small[::EVERY, ::EVERY].reshape(-1, 3)
-    if np.quantile(np.ptp(some, axis=1), 0.95) < COLOURLESS:
+    if is_colourless(small):
         return None
     signals, noise = _profiles(small.astype(np.float32), fit)
     if not signals:
@@ -79,6 +77,7 @@ def clearest_tone(colour: UInt8[np.ndarray, "h w 3"], fit: Fit, size: tuple[int,
         return None
     peak = signals[0] @ best
     best = -np.sign(peak[np.abs(peak).argmax()]) * best
+    some = small[::EVERY, ::EVERY].reshape(-1, 3)
     low, high = np.quantile(some @ best, [0.01, 0.99])
     scale = min(SPAN / (high - low), NOISE_GREY / float(np.sqrt(best @ noise @ best)))
     return Tone(scale * best, 127.5 - scale * 0.5 * float(low + high))

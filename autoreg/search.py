@@ -112,6 +112,12 @@ def find_paving(
     return _unrivalled(best)
 
 
+def promises(sight: Sight, camera: Camera | None) -> bool:
+    """Whether a photo shows enough of two families of joints, at the first glance, to look for a lattice."""
+    _, hypotheses = _hypotheses(sight.segments, sight.size, camera)
+    return promising_plane(sight.looks, sight.segments, hypotheses) is not None
+
+
 def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving | None:
     """The lattice on a known ground that does better than chance, if any does, at detection scale.
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coloured import SAND, UNEVEN, in_colour, miss_deg
 from paved import CAMERA, CHECKER, STACK, fit_of
 
 from autoreg.align import align
@@ -11,28 +12,11 @@ from autoreg.camera import Camera
 from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.beds import BED_BELOW, on_slabs_level
 from autoreg.fitting.fit import Fit
-from autoreg.geometry import angle_between_rotations
 from autoreg.image import as_gray
 from autoreg.joint_tone import LUMINANCE, Tone, clearest_tone
-from autoreg.synthetic import SyntheticPhoto, SyntheticScene, render_paving
+from autoreg.synthetic import SyntheticPhoto
 
 SIZE = (CAMERA.width, CAMERA.height)
-
-
-def in_colour(scene: SyntheticScene, joint_bgr: tuple[float, float, float]) -> SyntheticPhoto:
-    """A photo of grey slabs of uneven tone with joints of another hue; each channel has its own noise."""
-    drawn = [
-        render_paving(replace(scene, colour=False, noise_grey=0.0, joint_tone=tone)).pixels
-        for tone in joint_bgr
-    ]
-    noise = np.random.default_rng(0).normal(0.0, 1.5, (*drawn[0].shape, 3))
-    pixels = np.clip(np.round(np.stack(drawn, 2) + noise), 0, 255).astype(np.uint8)
-    return replace(render_paving(replace(scene, colour=False)), pixels=pixels)
-
-
-# Sand-coloured: blue is darker than the slabs' 150, red lighter, and luminance hardly differs from theirs.
-SAND = (95.0, 148.0, 166.0)
-UNEVEN = replace(STACK, tone_spread=0.12, texture=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -88,15 +72,8 @@ def test_luminance_is_what_opencv_takes_for_it(sandy: SyntheticPhoto):
 
 
 def test_a_colour_photo_of_joints_that_luminance_hardly_shows_is_aligned_by_their_hue(sandy: SyntheticPhoto):
-    def miss_deg(photo: np.ndarray) -> float:
-        found = align(photo, sandy.camera, slab=(0.6, 0.4)).pose.cam_from_ground
-        turns = [np.diag([s, s, 1.0]) for s in (1.0, -1.0)]
-        return np.rad2deg(
-            min(angle_between_rotations(found.R @ turn, sandy.cam_from_ground.R) for turn in turns)
-        )
-
-    assert miss_deg(sandy.pixels) < 0.02
-    assert miss_deg(sandy.pixels) < 0.5 * miss_deg(as_gray(sandy.pixels))
+    assert miss_deg(sandy, sandy.pixels) < 0.02
+    assert miss_deg(sandy, sandy.pixels) < 0.5 * miss_deg(sandy, as_gray(sandy.pixels))
 
 
 def test_beds_are_measured_where_they_would_be_at_the_slabs_level(stack_fit: Fit):

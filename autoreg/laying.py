@@ -1,0 +1,104 @@
+"""The paving of a photo, found at detection scale and measured at the photo's own resolution."""
+
+from __future__ import annotations
+
+from autoreg.answer.camera_refusals import leaning
+from autoreg.answer.full_resolution import Laid, measured_rows, measured_slabs
+from autoreg.answer.refusals import maybe_wall
+from autoreg.errors import Refusal
+from autoreg.fields import largest_field
+from autoreg.fitting.fit import Fit
+from autoreg.paving.lattice_evidence import Paving
+from autoreg.rows.cross_joints import common_lean
+from autoreg.rows.rows import Rows
+from autoreg.search import find_paving, find_rows, other_camera
+from autoreg.task import Task
+
+
+def lay(task: Task) -> Laid:
+    """The paving, measured at the photo's own resolution: of two fields, the larger one that can be measured.
+
+    Raises:
+        Refusal: there is none, or it cannot be one of slabs on the ground.
+    """
+    found = _found(task)
+    if task.camera is not None and isinstance(found, Paving):
+        larger = largest_field(task.sight, found, task.camera, task.slab)
+        if larger is not found:
+            try:
+                return lay_where(task, larger)
+            except Refusal as refusal:
+                if refusal.code == "camera_contradicted":
+                    raise
+    return lay_where(task, found)
+
+
+def lay_where(task: Task, found: Paving | Rows) -> Laid:
+    """What was found at detection scale, measured at the photo's own resolution.
+
+    Raises:
+        Refusal: it vanishes there, or cannot be one of slabs on the ground.
+    """
+    try:
+        laid = _measured(task, found)
+    except Refusal as refusal:
+        if isinstance(found, Rows) or refusal.code != "no_lattice":
+            raise
+        # What is no lattice at the photo's own resolution, rows may have looked like.
+        rows = find_rows(task.sight, task.camera)
+        if rows is None or maybe_wall(rows.paving.fit) is not None:
+            raise
+        laid = _measured(task, rows)
+    wall = maybe_wall(laid.likeliest.fit, laid.likeliest.covariance)
+    if wall is not None:
+        raise wall
+    lean = common_lean(task.sight.segments, laid.fit, laid.settled.presence.field)
+    off = leaning(lean, laid.fit.camera, task.source)
+    if off is not None:
+        raise camera_to_blame(task) or off
+    return laid
+
+
+def camera_to_blame(task: Task, found: Paving | None = None) -> Refusal | None:
+    """The refusal of a calibrated camera, if the joints clearly fit another one better than those found."""
+    return None if task.calibrated is None else other_camera(task.sight, task.calibrated, found)
+
+
+def _found(task: Task) -> Paving | Rows:
+    """The paving at detection scale; if that may be a wall, the one on the ground before it.
+
+    Raises:
+        Refusal: there is none, or none that may not be a wall.
+    """
+    found = find_paving(task.sight, task.camera, task.slab)
+    wall = maybe_wall(_fit_of(found))
+    if wall is None:
+        return found
+    try:
+        before = find_paving(task.sight, task.camera, task.slab, walls=False)
+    except Refusal:
+        raise wall from None
+    if maybe_wall(_fit_of(before)) is not None:
+        raise wall
+    return before
+
+
+def _fit_of(found: Paving | Rows) -> Fit:
+    return (found.paving if isinstance(found, Rows) else found).fit
+
+
+def _measured(task: Task, found: Paving | Rows) -> Laid:
+    """What was found, measured at the photo's own resolution, if it may be what it looks like.
+
+    Raises:
+        Refusal: it is not, or vanishes there.
+    """
+    # A wrong camera may leave rows of what is a lattice, or a small field of it.
+    rows = isinstance(found, Rows)
+    little = rows or found.closer is not None
+    blamed = camera_to_blame(task, None if rows else found) if little else None
+    if blamed is not None:
+        raise blamed
+    if rows:
+        return measured_rows(task.sight, task.picture, found, task.free, square=task.source == "photo")
+    return measured_slabs(task.sight, task.picture, found, task.free, task.slab)

@@ -1,0 +1,94 @@
+"""The paving of a photo in the tone in which its joints show best: luminance, or another one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from autoreg.answer.full_resolution import Laid
+from autoreg.errors import Refusal
+from autoreg.fine_hue import finest_hue
+from autoreg.ground.sight import see
+from autoreg.joint_tone import clearest_tone
+from autoreg.laying import camera_to_blame, lay, lay_where
+from autoreg.paving.lattice_evidence import SAME_SPACING, alike
+from autoreg.search import find_on, promises
+from autoreg.task import Task
+
+# A tone that leaves the joints so many times as far from their lines as luminance does shows them less well.
+ROUGHER_IN_TONE = 1.6
+# Refusals that have a reason of their own, which no other camera and no other tone would take away.
+OWN_REASONS = {"not_ground", "slab_mismatch", "camera_contradicted"}
+
+
+def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
+    """The paving in the tone that shows it best, with the photo in that tone.
+
+    Luminance comes first. What it does not show, the hue of the photo's fine detail may.
+
+    Raises:
+        Refusal: there is none, or it cannot be one of slabs on the ground; what luminance refuses is told, or
+            that the camera is to blame: what a wrong one hides may look like anything.
+    """
+    try:
+        seen, laid = task, lay(task)
+    except Refusal as refusal:
+        if refusal.code in OWN_REASONS:
+            raise
+        blamed = camera_to_blame(task)
+        if blamed is not None:
+            raise blamed from None
+        by_hue = _laid_by_hue(task)
+        if by_hue is None:
+            raise
+        seen, laid = by_hue
+    return _in_joint_tone(seen, laid)
+
+
+def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:
+    """The paving by hue, and the photo in it, where it promises one at the first glance."""
+    if task.colour is None:
+        return None
+    colour = task.colour()
+    height, width = task.sight.looks.picture.shape
+    hue = finest_hue(colour, (width, height))
+    if hue is None:
+        return None
+    hued = replace(task, sight=see(hue.of(colour), toned=True))
+    if not promises(hued.sight, hued.camera):
+        return None
+    try:
+        return hued, lay(hued)
+    except Refusal:
+        return None
+
+
+def _in_joint_tone(task: Task, laid: Laid) -> tuple[Task, Laid]:
+    """What was laid, or what is in the tone in which its joints show best, with the photo in that tone."""
+    if task.colour is None:
+        return task, laid
+    colour = task.colour()
+    height, width = task.sight.looks.picture.shape
+    tone = clearest_tone(colour, laid.fit, (width, height))
+    if tone is None:
+        return task, laid
+    toned = replace(task, sight=see(tone.of(colour), toned=True))
+    try:
+        clearer = _laid_anew(toned, laid)
+    except Refusal:
+        return task, laid
+    same = alike(laid.settled, clearer.settled, SAME_SPACING)
+    better = same or clearer.settled.margin_nats > laid.settled.margin_nats
+    smooth = clearer.fit.roughness_px < ROUGHER_IN_TONE * laid.fit.roughness_px
+    return (toned, clearer) if better and smooth else (task, laid)
+
+
+def _laid_anew(task: Task, before: Laid) -> Laid:
+    """The paving in another tone: where it was before, if it is the same there.
+
+    Raises:
+        Refusal: there is none, or it cannot be one of slabs on the ground.
+    """
+    found = find_on(task.sight, before.fit.camera, before.fit.cam_from_ground.R)
+    if found is None or not alike(before.settled, found, SAME_SPACING):
+        return lay(task)
+    return lay_where(task, found)
