@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import autoreg.align
-from autoreg import fields
+from autoreg import fields, laying
 from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
@@ -272,15 +271,15 @@ def test_the_answer_is_the_larger_field(two_fields: np.ndarray) -> None:
 def test_where_the_larger_field_is_refused_the_other_is_the_answer(
     two_fields: np.ndarray, monkeypatch: pytest.MonkeyPatch, code: str, answered: bool
 ) -> None:
-    measure = autoreg.align._measured
+    measure = laying._measured
 
     def of_bricks_alone(task: Task, found: Paving) -> object:
         if sides_m(found)[0] > 0.4:
             raise Refusal(code, "the slabs are refused")
         return measure(task, found)
 
-    monkeypatch.setattr(autoreg.align, "_measured", of_bricks_alone)
-    monkeypatch.setattr(autoreg.align, "find_rows", lambda *_: None)
+    monkeypatch.setattr(laying, "_measured", of_bricks_alone)
+    monkeypatch.setattr(laying, "find_rows", lambda *_: None)
     if answered:
         lattice = align(two_fields, CAMERA, camera_height=1.7).lattice
         assert (lattice.spacing_x, lattice.spacing_y) == pytest.approx((0.2, 0.1), rel=0.01)
