@@ -143,7 +143,7 @@ def test_gaps_in_turn_are_told_from_joints_that_noise_hides_here_and_there(seed:
 def a_lattice_comes_first(stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch):
     """Whatever the photo, the search comes up with the lattice of another one."""
     other = find_paving(see(as_gray(stack_photo.pixels)), CAMERA)
-    monkeypatch.setattr("autoreg.align.find_paving", lambda *_, **__: other)
+    monkeypatch.setattr("autoreg.laying.find_paving", lambda *_, **__: other)
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ from plain_residuals import joint_distances
 from scipy.optimize import least_squares
 
 from autoreg.geometry import Rigid, angle_between_rotations, rotation_from_vector
-from autoreg.solve import solver
 from autoreg.solve.freedom import Free
 from autoreg.solve.joint_data import (
     CENTRE,
@@ -257,9 +256,8 @@ def test_a_step_out_of_the_range_of_numbers_is_taken_back():
     assert np.isfinite(solution.parameters).all()
 
 
-def test_a_solve_without_enough_steps_says_that_it_stalled(monkeypatch):
-    monkeypatch.setattr(solver, "MOST_STEPS", 1)
-    solution = solve_joints(problem(9, noise_px=SIGMA_PX, start=Start(0.05, 0.1)), EVERYTHING)
+def test_a_solve_without_enough_steps_says_that_it_stalled():
+    solution = solve_joints(problem(9, noise_px=SIGMA_PX, start=Start(0.05, 0.1)), EVERYTHING, most_steps=1)
     assert solution.outcome == "stalled"
     assert solution.steps == 1
 

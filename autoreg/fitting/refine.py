@@ -24,6 +24,9 @@ from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.solve.joint_data import JointData, parameter_scale
 from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, solve_joints
 
+# The most steps of a solve. Few need more than five: those that do follow a valley of cameras that the joints
+# hardly tell apart, hundreds of pixels far, for less than what the cost is uncertain by.
+STEPS = 12
 # Solves per round, each with the scatter that the one before left; and the widest search, in slab sides, that
 # finds the joints for good.
 SOLVES, NARROW = 2, 0.04
@@ -204,7 +207,8 @@ def _round(
     # While joints are searched farther off the next round solves again.
     for _ in range(1 if rough else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
-        solution = solve_joints(data, free.mask, free.prior(camera, grid), rough=rough)
+        prior = free.prior(camera, grid)
+        solution = solve_joints(data, free.mask, prior, rough=rough, most_steps=STEPS)
         moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
         if solution.outcome == "diverged" or not _plausible(moved, new_grid):
             return fit

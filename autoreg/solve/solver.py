@@ -23,8 +23,7 @@ CAUCHY_SIGMAS = 2.4
 
 # A solve takes at most so many steps, and none that promises less than this share of the cost; below the last
 # share it counts as converged. Where joints are still searched, a rough solve will do.
-MOST_STEPS, STOP = 50, 1e-10
-ROUGH_STEPS, ROUGH_STOP = 12, 1e-5
+MOST_STEPS, STOP, ROUGH_STOP = 50, 1e-10, 1e-5
 CONVERGED = 1e-6
 # A cost this small is rounding. Residuals are in units of what is doubted, so the cost has no unit.
 NOTHING = 1e-15
@@ -61,7 +60,12 @@ class Solution:
 
 
 def solve_joints(
-    data: JointData, free: Float[np.ndarray, " p"], prior: Prior | None = None, *, rough: bool = False
+    data: JointData,
+    free: Float[np.ndarray, " p"],
+    prior: Prior | None = None,
+    *,
+    rough: bool = False,
+    most_steps: int = MOST_STEPS,
 ) -> Solution:
     """Pose (and what else `free` marks with ones) that lays the projected joints on the measured ones.
 
@@ -70,6 +74,7 @@ def solve_joints(
         free: one for each parameter to solve for, zero for each to keep.
         prior: what is known of the parameters beforehand.
         rough: whether the joints will be measured and solved again, so that near the minimum is enough.
+        most_steps: after so many the solve ends, converged or not.
 
     Raises:
         ValueError: no joint, or more than `CAPACITY`.
@@ -85,7 +90,7 @@ def solve_joints(
         prior_mean=prior.mean / scale,
         prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma),
     )
-    q, state, unit, steps = _minimise(problem, rough)
+    q, state, unit, steps = _minimise(problem, ROUGH_STOP if rough else STOP, most_steps)
     distances, jacobian = (v[:n] for v in state.aux[:2])
     cost = float(state.value)
     outcome = outcome_of(cost, _promised(state))
@@ -112,7 +117,7 @@ def padded(data: JointData, rows: int) -> JointData:
     )
 
 
-def _minimise(problem: Problem, rough: bool) -> tuple[np.ndarray, State, np.ndarray, int]:
+def _minimise(problem: Problem, stop: float, most_steps: int) -> tuple[np.ndarray, State, np.ndarray, int]:
     """The solver's variables at the minimum, jaxopt's state there, their units, and the steps taken."""
     step = compiled_step()
     q = np.zeros(PARAMETERS)
@@ -123,7 +128,6 @@ def _minimise(problem: Problem, rough: bool) -> tuple[np.ndarray, State, np.ndar
     unit = problem.unit * finer
     problem = problem._replace(unit=unit)
     state = _curved(_rescaled(state, finer)._replace(damping_factor=np.float64(FIRST_DAMPING)))
-    most_steps, stop = (ROUGH_STEPS, ROUGH_STOP) if rough else (MOST_STEPS, STOP)
     steps = 0
     # A cost that is not finite promises nothing; damping beyond all bounds means that the rest is rounding.
     while (
