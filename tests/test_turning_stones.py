@@ -115,6 +115,19 @@ def test_what_turns_around_straight_slabs_is_something_else(fit: Fit):
     assert _turned(both, fit, inner) is None
 
 
+@pytest.mark.parametrize("along", [ALONG_X, ALONG_Y])
+def test_what_crosses_straight_joints_at_an_angle_on_one_side_is_no_turn(fit: Fit, along: int):
+    joints, field = sides_turned(fit, along, 0.0)
+    # Shadows beyond the middle, as many as joints before it.
+    ground = on_ground(joints.ends_px, fit.camera, fit.cam_from_ground).mean(1)
+    beyond = ground[:, along] > field[:, along].mean()
+    turn = np.where(beyond, np.radians(25.0), np.random.default_rng(2).normal(0.0, 0.01, len(joints)))
+    crossed = about_their_middles(fit, joints, turn)
+    assert common_turn(crossed, fit, field) is None
+    # As much in little steps is a turn.
+    assert turning(common_turn(sides_turned(fit, along, 35.0)[0], fit, field)) is not None
+
+
 def about_their_middles(fit: Fit, segments: Segments, turn: Float[np.ndarray, " n"]) -> Segments:
     """Segments that are turned on the ground by so many radians each."""
     ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)

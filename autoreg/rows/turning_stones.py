@@ -21,6 +21,10 @@ from autoreg.spread import spread
 
 # Fewer segments than this in a third of the field tell no turn.
 FEWEST_SEGMENTS = 8
+# Stones that turn do it little by little: at least this share of them lies in the middle half of their turn,
+# where a third lies of those that turn evenly. Next to none does of joints and of what crosses them at an
+# angle on one side, such as a railing and its shadows.
+LEAST_BETWEEN = 0.1
 # The ground around a field reaches so many of its sizes to either side.
 AROUND = 1.0
 # Joints that scatter by less about a lattice's directions are those of slabs, and what lies around them in
@@ -126,7 +130,7 @@ def _turn(
 ) -> Lean | None:
     """By how much the median direction of a family's segments turns along an axis of the ground.
 
-    Of those that `_off` takes.
+    Of those that `_off` takes; None where they are too few, or where it does not turn but jumps.
     """
     off, middle = _off(ground, fit, field, family, margin=margin, longest=longest)
     if len(off) < 3 * FEWEST_SEGMENTS:
@@ -134,7 +138,10 @@ def _turn(
     place = middle[:, axis]
     low, high = np.quantile(place, [1 / 3, 2 / 3])
     ends = [off[place <= low], off[place >= high]]
-    change = float(np.median(ends[1]) - np.median(ends[0]))
+    first, last = (float(np.median(end)) for end in ends)
+    change = last - first
+    if np.mean(np.abs(off - 0.5 * (first + last)) <= 0.25 * abs(change)) < LEAST_BETWEEN:
+        return None
     sigmas = [MEDIAN_LOSS * spread(end) / np.sqrt(len(end)) for end in ends]
     return Lean(change, float(np.hypot(*sigmas)))
 
