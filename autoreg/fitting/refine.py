@@ -22,11 +22,8 @@ from autoreg.joints.profiles import Profiles, sample_profiles
 from autoreg.joints.smeared_looks import smear_px
 from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.solve.joint_data import JointData, parameter_scale
-from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, solve_joints
+from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, MOST_STEPS, solve_joints
 
-# The most steps of a solve. Few need more than five: those that do follow a valley of cameras that the joints
-# hardly tell apart, hundreds of pixels far, for less than what the cost is uncertain by.
-STEPS = 12
 # Solves per round, each with the scatter that the one before left; and the widest search, in slab sides, that
 # finds the joints for good.
 SOLVES, NARROW = 2, 0.04
@@ -64,6 +61,7 @@ def refine(
     field: Float[np.ndarray, "k 2"] | None = None,
     limit: int = CAPACITY,
     steady_px: float = 0.0,
+    most_steps: int = MOST_STEPS,
 ) -> Fit | None:
     """The pose at which the projected joints lie on the photographed ones; None if nothing can be measured.
 
@@ -79,11 +77,14 @@ def refine(
         field: where on the ground the paving is, a convex polygon; everywhere if None.
         limit: the most stations that are measured.
         steady_px: the rounds end with the first one that moves the joints by less than this (RMS).
+        most_steps: of a solve.
     """
     fit: Fit | None = None
     for reach in reaches:
         before = (camera, cam_from_ground, grid)
-        now = _round(picture, camera, cam_from_ground, grid, strip, free, search, reach, field, limit)
+        now = _round(
+            picture, camera, cam_from_ground, grid, strip, free, search, reach, field, limit, most_steps
+        )
         if now is None:
             return fit
         fit = now
@@ -107,6 +108,7 @@ def refine_until_still(
     field: Float[np.ndarray, "k 2"] | None = None,
     still_px: float = 0.003,
     most_rounds: int = 6,
+    most_steps: int = MOST_STEPS,
 ) -> Fit | None:
     """Like `refine` at one reach, measured again until joints would move by no more than `still_px` (RMS).
 
@@ -115,7 +117,10 @@ def refine_until_still(
     fit: Fit | None = None
     for _ in range(most_rounds):
         before = (camera, cam_from_ground, grid)
-        fit = refine(picture, *before, free=free, search=search, reaches=(reach,), strip=strip, field=field)
+        fit = refine(
+            picture, *before,
+            free=free, search=search, reaches=(reach,), strip=strip, field=field, most_steps=most_steps,
+        )  # fmt: skip
         if fit is None:
             return None
         settled = strip is not None and fit.strip.like(strip)
@@ -151,6 +156,7 @@ def _round(
     reach: float,
     field: np.ndarray | None,
     limit: int,
+    most_steps: int,
 ) -> Fit | None:
     sides = visible_sides(camera, pose, grid, reach=reach, field=field)
     if len(sides) < 6:
@@ -208,7 +214,7 @@ def _round(
     for _ in range(1 if rough else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
         prior = free.prior(camera, grid)
-        solution = solve_joints(data, free.mask, prior, rough=rough, most_steps=STEPS)
+        solution = solve_joints(data, free.mask, prior, rough=rough, most_steps=most_steps)
         moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
         if solution.outcome == "diverged" or not _plausible(moved, new_grid):
             return fit

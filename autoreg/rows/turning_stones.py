@@ -24,7 +24,7 @@ FEWEST_SEGMENTS = 8
 # Stones that turn do it little by little: at least this share of them lies in the middle half of their turn,
 # where a third lies of those that turn evenly. Next to none does of joints and of what crosses them at an
 # angle on one side, such as a railing and its shadows.
-LEAST_BETWEEN = 0.1
+LEAST_BETWEEN = 0.05
 # The ground around a field reaches so many of its sizes to either side.
 AROUND = 1.0
 # Joints that scatter by less about a lattice's directions are those of slabs, and what lies around them in
