@@ -23,7 +23,8 @@ CAUCHY_SIGMAS = 2.4
 
 # A solve takes at most so many steps, and none that promises less than this share of the cost; below the last
 # share it counts as converged. Where joints are still searched, a rough solve will do.
-MOST_STEPS, STOP, ROUGH_STOP = 50, 1e-10, 1e-5
+MOST_STEPS, STOP = 50, 1e-10
+ROUGH_STEPS, ROUGH_STOP = 12, 1e-5
 CONVERGED = 1e-6
 # A cost this small is rounding. Residuals are in units of what is doubted, so the cost has no unit.
 NOTHING = 1e-15
@@ -90,7 +91,8 @@ def solve_joints(
         prior_mean=prior.mean / scale,
         prior_weight=scale / (CAUCHY_SIGMAS * prior.sigma),
     )
-    q, state, unit, steps = _minimise(problem, ROUGH_STOP if rough else STOP, most_steps)
+    stop, most_steps = (ROUGH_STOP, min(ROUGH_STEPS, most_steps)) if rough else (STOP, most_steps)
+    q, state, unit, steps = _minimise(problem, stop, most_steps)
     distances, jacobian = (v[:n] for v in state.aux[:2])
     cost = float(state.value)
     outcome = outcome_of(cost, _promised(state))
