@@ -151,6 +151,15 @@ def test_of_two_equal_joints_the_search_takes_the_nearer():
     assert search_offsets(profiles, each(1.5, profiles), 7.0, 3.0)[0] == pytest.approx(2.0, abs=0.5)
 
 
+def test_a_start_beyond_a_profiles_end_gives_no_nan():
+    profiles = profiles_of(strip_values(0.0, 2.0, 0.8), strip_values(0.0, 2.0, 0.8))
+    beyond = np.array([1.5, -3.0]) * profiles.at_px[-1]
+    fitted = fit_offsets(profiles, beyond, each(2.0, profiles), 0.8)
+    assert np.isfinite(fitted.offset_px).all()
+    misfit = strip_misfits(profiles, np.arange(2), beyond, each(2.0, profiles)[None], 0.8)
+    assert np.isfinite(misfit).all()
+
+
 @pytest.mark.parametrize(("family", "slope"), [(ALONG_X, (0.0, -1.0)), (ALONG_Y, (1.0, 0.0))])
 def test_a_profile_runs_across_the_joint_towards_growing_ground_coordinates(
     family: int, slope: tuple[float, float]

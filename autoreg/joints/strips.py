@@ -49,6 +49,8 @@ def batches(
 def _window(profiles: Profiles, rows: np.ndarray, start: np.ndarray, reach: np.ndarray) -> Window:
     """Places, values and weights of some profiles' samples within reach of where their joints may lie."""
     count = len(profiles.at_px)
+    # Of joints that may lie beyond a profile's end, what is seen is its end.
+    start = np.clip(start, profiles.at_px[0], profiles.at_px[-1])
     half = min(int(np.ceil((reach.max() + 0.5) / STEP_PX)) + 1, (count - 1) // 2)
     first = np.clip(
         np.rint((start - profiles.at_px[0]) / STEP_PX).astype(int) - half, 0, count - 1 - 2 * half
