@@ -46,7 +46,7 @@ class Hue:
 
 
 def finest_hue(colour: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]) -> Hue | None:
-    """The hue by which fine detail differs most; None of a photo without colours.
+    """The hue by which fine detail differs most; None of a photo that has one colour, or none.
 
     Args:
         colour: the photo (BGR).
@@ -62,6 +62,8 @@ def finest_hue(colour: UInt8[np.ndarray, "h w 3"], size: tuple[int, int]) -> Hue
     weights = np.linalg.eigh(some.T @ some)[1][:, -1]
     left_out = 0.5 * (1.0 - SHARE)
     low, high = np.quantile(ratios[::EVERY, ::EVERY].reshape(-1, 3) @ weights, [left_out, 1.0 - left_out])
+    if high <= low:
+        return None
     # The channels' mean is no part of a ratio: weights that sum up to nothing leave it out by themselves.
     weights = SPAN / (high - low) * (weights - weights.mean())
     return Hue(weights, 127.5 - 0.5 * SPAN * float(low + high) / float(high - low))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+from jaxtyping import UInt8
+
 from autoreg.answer.full_resolution import Laid
 from autoreg.errors import Refusal
-from autoreg.fine_hue import finest_hue
+from autoreg.fine_hue import Hue, finest_hue
 from autoreg.ground.sight import see
-from autoreg.joint_tone import clearest_tone
+from autoreg.joint_tone import Tone, clearest_tone
 from autoreg.laying import camera_to_blame, lay, lay_where
 from autoreg.paving.lattice_evidence import SAME_SPACING, alike
 from autoreg.search import find_on, promises
@@ -49,12 +52,8 @@ def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:
     if task.colour is None:
         return None
     colour = task.colour()
-    height, width = task.sight.looks.picture.shape
-    hue = finest_hue(colour, (width, height))
-    if hue is None:
-        return None
-    hued = replace(task, sight=see(hue.of(colour), toned=True))
-    if not promises(hued.sight, hued.camera):
+    hued = _seen_in(task, colour, finest_hue(colour, task.sight.looks.size))
+    if hued is None or not promises(hued.sight, hued.camera):
         return None
     try:
         return hued, lay(hued)
@@ -67,11 +66,9 @@ def _in_joint_tone(task: Task, laid: Laid) -> tuple[Task, Laid]:
     if task.colour is None:
         return task, laid
     colour = task.colour()
-    height, width = task.sight.looks.picture.shape
-    tone = clearest_tone(colour, laid.fit, (width, height))
-    if tone is None:
+    toned = _seen_in(task, colour, clearest_tone(colour, laid.fit, task.sight.looks.size))
+    if toned is None:
         return task, laid
-    toned = replace(task, sight=see(tone.of(colour), toned=True))
     try:
         clearer = _laid_anew(toned, laid)
     except Refusal:
@@ -80,6 +77,11 @@ def _in_joint_tone(task: Task, laid: Laid) -> tuple[Task, Laid]:
     better = same or clearer.settled.margin_nats > laid.settled.margin_nats
     smooth = clearer.fit.roughness_px < ROUGHER_IN_TONE * laid.fit.roughness_px
     return (toned, clearer) if better and smooth else (task, laid)
+
+
+def _seen_in(task: Task, colour: UInt8[np.ndarray, "h w 3"], tone: Hue | Tone | None) -> Task | None:
+    """The photo in a tone in which joints may differ from all slabs; None if there is none."""
+    return None if tone is None else replace(task, sight=see(tone.of(colour), toned=True))
 
 
 def _laid_anew(task: Task, before: Laid) -> Laid:

@@ -84,3 +84,10 @@ def test_the_picture_in_a_hue_is_its_logarithms_weighed():
 def test_a_photo_without_colours_has_no_hue(warm: SyntheticPhoto):
     grey = np.repeat(as_gray(warm.pixels)[:, :, None], 3, axis=2)
     assert finest_hue(grey, (640, 480)) is None
+
+
+def test_a_photo_of_one_colour_has_no_hue_and_is_refused():
+    orange = np.full((96, 128, 3), (40, 90, 200), np.uint8)
+    assert finest_hue(orange, (128, 96)) is None
+    with pytest.raises(Refusal):
+        align(orange, None)

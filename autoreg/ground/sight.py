@@ -38,6 +38,11 @@ class Looks:
     coarse: Look
     fine: Look
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height at detection scale."""
+        return self.fine.gradient.size
+
     @cached_property
     def unshaded(self) -> Look:
         """The fine look without shading, in which the faint joints of a glossy floor drown."""

@@ -47,7 +47,7 @@ MOST_OFF_AXIS = 1.73
 LIKE_FOCAL, LIKE_CENTRE = 0.2, 0.15
 # The most steps of a solve with a free camera. Those beyond follow a valley of cameras that the joints hardly
 # tell apart, hundreds of pixels far, for less than what the cost is uncertain by.
-MOST_STEPS = 12
+FREE_STEPS = 12
 # Slabs that scatter by less, in pixels, are even.
 EVEN_PX = 0.02
 
@@ -260,7 +260,7 @@ def _fits_with_free_camera(
             reaches=FROM_THE_FEET,
             strip=fit.strip,
             field=field,
-            most_steps=MOST_STEPS,
+            most_steps=FREE_STEPS,
         )
         # Nothing can be measured near the feet of a camera that looks far ahead.
         start = grown or fit
@@ -274,7 +274,7 @@ def _fits_with_free_camera(
             reach=12.0,
             strip=start.strip,
             field=field,
-            most_steps=MOST_STEPS,
+            most_steps=FREE_STEPS,
         )
         if still is not None:
             yield still
