@@ -156,7 +156,7 @@ def test_a_start_beyond_a_profiles_end_gives_no_nan():
     beyond = np.array([1.5, -3.0]) * profiles.at_px[-1]
     fitted = fit_offsets(profiles, beyond, each(2.0, profiles), 0.8)
     assert np.isfinite(fitted.offset_px).all()
-    misfit = strip_misfits(profiles, np.arange(2), beyond, each(2.0, profiles)[None], 0.8)
+    misfit = strip_misfits(profiles, np.arange(2), beyond, each(2.0, profiles)[None], np.array([0.8]))
     assert np.isfinite(misfit).all()
 
 
