@@ -34,6 +34,7 @@ from autoreg.slabs.slab_effects import (
     rim_effects,
 )
 from autoreg.slabs.slab_equations import RELIEFS, Sizes, SlabEquations
+from autoreg.slabs.slab_model import estimate_motion
 from autoreg.slabs.uncertainty import Settled, settle
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
@@ -174,15 +175,21 @@ def test_lit_walls_that_the_widths_tell_hardly_move_the_pose(share: float, monke
     assert moved_px < 0.6 * joints_moved_px(settle(withheld(lit)).fit, plain)
 
 
-def test_what_relief_does_beyond_its_model_counts_less_where_slabs_lie_aside():
+def test_widths_have_half_a_say():
     lit = with_lit_walls(fitted(), 0.5)
-    sides = lit.stations.side
-    aside_m = 0.003 * np.random.default_rng(4).standard_normal(sides.max() + 1)
-    rough = seen_as(lit, aside_m[sides] * lit.profiles.px_per_unit, np.zeros(len(sides)))
-    even, uneven = settle(lit).scatter, settle(rough).scatter
-    assert uneven.aside > 3.0 * even.aside
-    assert even.misfit > 1.2
-    assert 1.0 <= uneven.misfit < 1.1
+    known = lit.free.prior(lit.camera, lit.grid)
+    told, alone = (estimate_motion(lit, lit.free.mask, known, widths=widths) for widths in (True, False))
+    apart = told.parameters - alone.parameters
+    halfway = lit.moved(0.5 * (told.parameters + alone.parameters)).cam_from_ground
+    settled = settle(lit)
+    far = 0.05 * float(np.linalg.norm(apart[3:6]))
+    assert far > 0
+    assert np.linalg.norm(settled.fit.cam_from_ground.t - halfway.t) < far
+    # How far the two are apart is not known any better.
+    turned = 0.5 * apart[:3]
+    surer = 0.5 * (told.covariance + alone.covariance)[:3, :3]
+    assert np.linalg.eigvalsh(settled.covariance[:3, :3] - surer).min() > -1e-3 * np.trace(surer)
+    assert turned @ np.linalg.solve(settled.covariance[:3, :3], turned) < 1.0
 
 
 def test_lit_walls_leave_the_stated_covariance_true():

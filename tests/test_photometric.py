@@ -372,7 +372,7 @@ def test_grey_levels_know_the_pose_better_than_measured_places(scene: SyntheticS
 def test_the_covariance_is_that_of_the_errors(scene: SyntheticScene) -> None:
     normalised: list[float] = []
     stated: list[float] = []
-    for seed in range(6):
+    for seed in range(12):
         # Another noise on the same stones tells nothing of what stones do.
         drawn = replace(scene, seed=seed) if scene is STONE else scene
         places = settle(fitted(drawn, seed))

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import joint_data
 from autoreg.geometry import Rigid
+from autoreg.slabs.measured_joints import widths_told
 from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
 from autoreg.solve.freedom import log_stretch
 from autoreg.solve.joint_data import PARAMETERS, RATIO
@@ -46,8 +47,9 @@ class Settled:
 def settle(fit: Fit, *, widths: bool = True) -> Settled:
     """The fit moved to the likeliest pose under irregular slabs, and how sure that pose is.
 
-    The joints' `widths` have a say if that is asked for. Where the camera is not known, ground that is a
-    little bent would be taken for another one.
+    The joints' `widths` have a say if that is asked for, but no more than half: whether they tell how deep
+    the joints lie, or are those of bevels and of what fills the joints, is as likely as not. Where the camera
+    is not known, ground that is a little bent would be taken for another one.
     """
     estimate, moved = _likeliest(fit, widths)
     for _ in range(MOST_MOVES):
@@ -66,12 +68,27 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
 def _likeliest(fit: Fit, widths: bool) -> tuple[Estimate, Fit]:
     """The likeliest motion of what a fit solves for, and the fit moved by it."""
     bow = BOW if fit.free.focal else 0.0
-    estimate = estimate_motion(
-        fit, fit.free.mask, fit.free.prior(fit.camera, fit.grid), bow=bow, widths=widths
-    )
+    prior = fit.free.prior(fit.camera, fit.grid)
+    estimate = estimate_motion(fit, fit.free.mask, prior, bow=bow, widths=widths)
+    if widths and widths_told(fit):
+        alone = estimate_motion(fit, fit.free.mask, prior, bow=bow, widths=False)
+        estimate = _either(estimate, alone)
     held = _with_told_ratio(fit, estimate)
     moved = fit.moved((held or estimate).parameters)
     return (estimate, moved) if held is None else (held, replace(moved, free=replace(fit.free, ratio=False)))
+
+
+def _either(told: Estimate, alone: Estimate) -> Estimate:
+    """The mean of two estimates that are as likely as each other, and how sure that is: of both, and between.
+
+    Its scatter, and what the relief moves, are those of the first, by the joints' widths.
+    """
+    apart = 0.5 * (told.parameters - alone.parameters)
+    return replace(
+        told,
+        parameters=0.5 * (told.parameters + alone.parameters),
+        covariance=0.5 * (told.covariance + alone.covariance) + np.outer(apart, apart),
+    )
 
 
 def _with_told_ratio(fit: Fit, estimate: Estimate) -> Estimate | None:
