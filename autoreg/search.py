@@ -5,6 +5,8 @@ All of it is done at detection scale; what it finds is measured at the photo's o
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float
 
@@ -22,10 +24,13 @@ from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving, rival
 from autoreg.paving.lay import lay_bond, lay_combs, lay_first, lay_lattice
 from autoreg.paving.plane_combs import (
     PROMISING_NATS,
+    SHARPENED,
     Hypothesis,
     PlaneCombs,
     comb_planes,
+    planes_as_they_came,
     promising_plane,
+    sharpened,
     with_other_focals,
 )
 from autoreg.rows.rows import Rows, lay_rows
@@ -35,6 +40,9 @@ from autoreg.solve.freedom import Free
 # Ground hypotheses that are taken from the segments, with a camera and without, and how many of them are
 # looked into, those with the clearest joints first.
 HYPOTHESES, HYPOTHESES_NO_FOCAL, MOST_PLANES = 8, 12, 3
+# Beyond this margin the clearest ground's lattice is clear enough to leave grounds whose joints carry less
+# than this share of its own, as they came.
+CLEAR_NATS, LESS_CLEAR = 20.0, 0.5
 # Where none of them has a lattice, so many other focal lengths of the clearest one are looked into.
 MOST_FOCALS = 5
 # Fewer segments than this do not tell that all run in one direction.
@@ -88,13 +96,10 @@ def find_paving(
     glance = glanced(segments, free, hypotheses)
     best = fitting(glance)
     if not _plain(best):
-        ranked = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
-        for plane in ranked:
-            pavings = suitable(lay_lattice(looks, plane, free))
-            if pavings and (not best or pavings[0].margin_nats > best[0].margin_nats):
-                best = pavings
-            if _plain(best):
-                break
+        best, ranked = _lay_planes(
+            looks, segments, hypotheses, best,
+            lambda plane: suitable(lay_lattice(looks, plane, free)), free_focal=camera is None,
+        )  # fmt: skip
         # By another focal length what is plain to see may have the slab's shape.
         if camera is None and not _plain(best) and _plain(glance):
             best = glance
@@ -110,6 +115,42 @@ def find_paving(
                     raise _no_paving(sight, camera, best, fields)
             best = plain
     return _unrivalled(best)
+
+
+def _lay_planes(
+    looks: Looks,
+    segments: Segments,
+    hypotheses: list[Hypothesis],
+    best: tuple[Paving, ...],
+    lay: Callable[[PlaneCombs], tuple[Paving, ...]],
+    *,
+    free_focal: bool,
+) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
+    """The best lattices of these and of those on the hypothesised grounds, and the grounds looked into.
+
+    To sharpen a plane takes a good part of a second, and to lay a lattice on it some: that which is
+    clearest as it came goes first, and where it shows a clear lattice those that are far less clear are left.
+    """
+    planes = planes_as_they_came(looks, hypotheses)
+    if not planes:
+        return best, []
+    (first,) = sharpened(looks, segments, planes[:1], free_focal=free_focal)
+    best = _better(best, lay(first))
+    if _plain(best):
+        return best, [first]
+    clear = bool(best) and best[0].margin_nats > CLEAR_NATS
+    others = [plane for plane in planes[1:] if not clear or plane.score > LESS_CLEAR * planes[0].score]
+    others = sharpened(looks, segments, others, SHARPENED - 1, free_focal=free_focal)
+    ranked = sorted([first, *others], key=lambda plane: -plane.score)[:MOST_PLANES]
+    for plane in ranked:
+        if plane is not first and not _plain(best):
+            best = _better(best, lay(plane))
+    return best, ranked
+
+
+def _better(best: tuple[Paving, ...], others: tuple[Paving, ...]) -> tuple[Paving, ...]:
+    """Those lattices of the two whose first explains the picture better."""
+    return max(best, others, key=lambda pavings: pavings[0].margin_nats if pavings else -np.inf)
 
 
 def promises(sight: Sight, camera: Camera | None) -> bool:

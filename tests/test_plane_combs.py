@@ -11,10 +11,11 @@ from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.geometry import angle_between_rotations
 from autoreg.ground.rectify import near_reach, rectify
-from autoreg.ground.sight import Look, Sight, see
+from autoreg.ground.sight import Look, Looks, Sight, see
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.periods import Comb, best_combs
-from autoreg.paving.plane_combs import OTHER_FOCALS, PlaneCombs, comb_planes, with_other_focals
+from autoreg.paving.plane_combs import OTHER_FOCALS, PlaneCombs, comb_planes, sharpened, with_other_focals
+from autoreg.segments import Segments
 from autoreg.synthetic import SyntheticPhoto, render_paving
 from benchmarks.suites.robust import angle_up_to_quarter_turns, soft_light
 
@@ -88,13 +89,39 @@ def test_a_lattice_is_found_by_another_focal_length_than_that_of_the_segments(
     wrong = by_focal(sight, plane, 0.6 * plane.camera.fx)
     monkeypatch.setattr(search, "_hypotheses", lambda *_, **__: (free, [(wrong.camera, wrong.R)]))
     # Neither are the joints lined up by the segments.
-    monkeypatch.setattr(search, "comb_planes", lambda *_, **__: [wrong])
+    monkeypatch.setattr(search, "sharpened", lambda *_, **__: [wrong])
     found = search.find_paving(sight, None)
     assert isinstance(found, Paving)
     assert found.grid.shift == pytest.approx(0.5)
     assert (found.grid.spacing_x or 0.0) / found.grid.spacing_y == pytest.approx(4.0, rel=0.02)
     camera = found.fit.camera
     assert camera.fx / camera.width == pytest.approx(photo.camera.fx / photo.camera.width, rel=0.02)
+
+
+def test_where_the_clearest_ground_shows_the_lattice_plainly_no_other_one_is_sharpened(
+    photo: SyntheticPhoto, sight: Sight, monkeypatch: pytest.MonkeyPatch
+):
+    asked: list[int] = []
+
+    def counted(
+        looks: Looks, segments: Segments, planes: list[PlaneCombs], *count: int, free_focal: bool
+    ) -> list[PlaneCombs]:
+        asked.append(len(planes))
+        return sharpened(looks, segments, planes, *count, free_focal=free_focal)
+
+    monkeypatch.setattr(search, "promising_plane", lambda *_: None)
+    monkeypatch.setattr(search, "sharpened", counted)
+    found = search.find_paving(sight, photo.camera)
+    assert isinstance(found, Paving)
+    assert found.plain
+    assert found.grid.shift == pytest.approx(0.5)
+    assert asked == [1]
+    asked.clear()
+    monkeypatch.setattr(Paving, "plain", property(lambda _: False))
+    again = search.find_paving(sight, photo.camera)
+    assert isinstance(again, Paving)
+    assert again.margin_nats == pytest.approx(found.margin_nats, abs=1.0)
+    assert len(asked) == 2
 
 
 def in_soft_light(photo: SyntheticPhoto) -> np.ndarray:

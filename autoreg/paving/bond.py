@@ -110,27 +110,25 @@ def best_bonds(
     The score is the mean over courses of the sum over cross joints.
     """
     n, c = len(offset), len(courses.index)
-    result = np.zeros((len(spacings), 3))
-    result[:, 0] = -np.inf
-    if c == 0:
-        return result
+    if c == 0 or len(spacings) == 0:
+        return np.column_stack([np.full(len(spacings), -np.inf), np.zeros((len(spacings), 2))])
     step, rows = np.gradient(offset), np.arange(n)
     wave = np.arange(PHASES)
     # Moving course k by k * shift is a product in the Fourier domain of the phase.
     turn = np.exp(2j * np.pi * ((courses.index[:, None, None] * wave[:, None] * wave) % PHASES) / PHASES)
+    # Whatever is outside, or too near to the next one to be told from it, stands in one more row of zeros.
+    by_place = np.vstack([courses.llr.T, np.zeros(c)])
+    per_course = np.empty((PHASES, len(spacings), c))
     for s, a in enumerate(spacings):
         i = np.arange(np.floor(offset[0] / a) - 1, np.ceil(offset[-1] / a) + 2)
         at = (wave / PHASES * a)[:, None] + i * a
-        row = np.rint(np.interp(at, offset, rows, left=-1, right=-1)).astype(int)
-        inside = row >= 0
-        row = np.clip(row, 0, n - 1)
-        inside &= a / step[row] >= 5.0
-        per_course = (courses.llr[:, row] * inside).sum(-1)
-        spectrum = np.fft.fft(per_course, axis=1)
-        total = np.fft.ifft(np.einsum("cw,csw->sw", spectrum, turn), axis=1).real
-        shift, phase = np.unravel_index(int(total.argmax()), total.shape)
-        result[s] = total[shift, phase] / c, phase / PHASES * a, shift / PHASES
-    return result
+        row = np.rint(np.interp(at, offset, rows, left=-1, right=-1)).astype(np.intp)
+        row[(row < 0) | (a / step[row] < 5.0)] = n
+        per_course[:, s] = by_place.take(row, axis=0).sum(1)
+    moved = np.fft.fft(per_course, axis=0) @ turn.transpose(2, 0, 1)
+    total = np.fft.ifft(moved, axis=0).real.transpose(1, 2, 0).reshape(len(spacings), -1)
+    shift, phase = np.divmod(total.argmax(1), PHASES)
+    return np.stack([total.max(1) / c, phase / PHASES * spacings, shift / PHASES], 1)
 
 
 def bond_hypotheses(rectified: Rectified, *, combs: int = 3, keep: int = 4) -> tuple[BondHypothesis, ...]:

@@ -72,15 +72,21 @@ def comb_planes(
 
     Those that are clearest as they came are sharpened, and looked at again.
     """
-    planes = _clearest_first(looks, hypotheses)
+    return sharpened(looks, segments, planes_as_they_came(looks, hypotheses), free_focal=free_focal)
+
+
+def sharpened(
+    looks: Looks, segments: Segments, planes: list[PlaneCombs], count: int = SHARPENED, *, free_focal: bool
+) -> list[PlaneCombs]:
+    """Planes of which the first `count` have their joints lined up, the clearest first again."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         again = pool.map(
-            lambda plane: _sharpened(looks, segments, plane, free_focal=free_focal), planes[:SHARPENED]
+            lambda plane: _sharpened(looks, segments, plane, free_focal=free_focal), planes[:count]
         )
-        return sorted([*again, *planes[SHARPENED:]], key=lambda plane: -plane.score)
+        return sorted([*again, *planes[count:]], key=lambda plane: -plane.score)
 
 
-def _clearest_first(looks: Looks, hypotheses: list[Hypothesis]) -> list[PlaneCombs]:
+def planes_as_they_came(looks: Looks, hypotheses: list[Hypothesis]) -> list[PlaneCombs]:
     """The joints of the hypothesised grounds as they came, the planes with the clearest ones first."""
     # Most of it is done in numpy and OpenCV, which lets the planes go side by side.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -167,7 +173,7 @@ def with_other_focals(looks: Looks, plane: PlaneCombs) -> list[PlaneCombs]:
     they vanish, and so the focal length, much worse than the rows do.
     """
     clearer = 0 if _score(plane.x) > _score(plane.y) else 1
-    return _clearest_first(looks, [_by_focal(plane, factor, clearer) for factor in OTHER_FOCALS])
+    return planes_as_they_came(looks, [_by_focal(plane, factor, clearer) for factor in OTHER_FOCALS])
 
 
 def _by_focal(plane: PlaneCombs, factor: float, axis: int) -> Hypothesis:
