@@ -84,9 +84,9 @@ def test_widths_of_joints_in_a_smeared_picture_do_not_move_the_pose(
     angle_deg, crossing_px = misses(settled.fit.cam_from_ground, spacing, photo)
     assert angle_deg < 0.005
     assert crossing_px < 0.06
-    # Taken for what relief does to them, they would.
+    # Taken for what relief does to them they would, even with no more than half a say.
     monkeypatch.setattr(measured_joints, "alike_in_px", lambda *widths: False)
-    assert misses(settle(fit).fit.cam_from_ground, spacing, photo)[1] > 10 * crossing_px
+    assert misses(settle(fit).fit.cam_from_ground, spacing, photo)[1] > 5 * crossing_px
 
 
 @pytest.mark.parametrize("way", [np.ones((1, 9)) / 9, np.ones((9, 1)) / 9], ids=["u", "v"])
