@@ -175,6 +175,17 @@ def test_lit_walls_that_the_widths_tell_hardly_move_the_pose(share: float, monke
     assert moved_px < 0.6 * joints_moved_px(settle(withheld(lit)).fit, plain)
 
 
+def test_what_relief_does_beyond_its_model_counts_less_where_slabs_lie_aside():
+    lit = with_lit_walls(fitted(), 0.5)
+    sides = lit.stations.side
+    aside_m = 0.003 * np.random.default_rng(4).standard_normal(sides.max() + 1)
+    rough = seen_as(lit, aside_m[sides] * lit.profiles.px_per_unit, np.zeros(len(sides)))
+    even, uneven = settle(lit).scatter, settle(rough).scatter
+    assert uneven.aside > 3.0 * even.aside
+    assert even.misfit > 1.2
+    assert 1.0 <= uneven.misfit < 1.1
+
+
 def test_widths_have_half_a_say():
     lit = with_lit_walls(fitted(), 0.5)
     known = lit.free.prior(lit.camera, lit.grid)

@@ -53,7 +53,11 @@ FLAT = RELIEFS.index(0.0)
 # Factors of the likeliest place's size over which the answer is averaged, from it downwards and upwards, and
 # by how much less likely one is that no longer counts, nor do those beyond.
 LIKELY, NEGLIGIBLE_NATS = ((1.0, 0.75, 0.55), (1.33, 1.8)), 9.0
-# What the relief moves the pose by is known to no better than this share of itself.
+# Where the widths tell the relief, its shape varies beyond the model: the variance is this much larger, as
+# measured on ray-traced pavings. That shows where the slabs lie even: such shapes are some hundredths of the
+# joints' width, and the scatter of slabs that lie aside by more than this share of it outweighs them.
+MISFIT, DROWNED = 1.6, 0.03
+# ... and what the relief moves the pose by is known to no better than this share of itself.
 VAGUE = 0.3
 # The sizes of the effects are searched on blocks of so many slabs square, with about so many stations in all.
 BLOCK_SLABS, SEARCHED = 4, 600
@@ -153,7 +157,8 @@ def estimate_motion(
     away = likely.motion - mean
     inner = likely.covariance + away[..., :, None] * away[..., None, :]
     by_relief = mean - np.tensordot(_weights(usual[:, FLAT]), motions[:, FLAT], 1)
-    misfit = _misfit(model, sizes, relief) if near is None else near.misfit
+    sunk = 1.0 - float(weight[..., FLAT].sum())
+    misfit = _misfit(model, sizes, relief, sunk) if near is None else near.misfit
     spread = np.tensordot(weight, inner, 3) * misfit + VAGUE**2 * np.outer(by_relief, by_relief)
     (parameters, relieved), covariance = np.zeros((2, MOTION)), np.zeros((MOTION, MOTION))
     parameters[model.free], relieved[model.free] = mean * model.unit, by_relief * model.unit
@@ -163,12 +168,13 @@ def estimate_motion(
     return Estimate(parameters, relieved, covariance, scatter)
 
 
-def _misfit(model: SlabEquations, sizes: Sizes, relief: float) -> float:
-    """How much larger the variance is than the model's, of joints whose widths do not tell their relief."""
-    if len(model.joints.wide):
-        return 1.0
-    model.factor(sizes)
-    return max(1.0, model.misfit(relief))
+def _misfit(model: SlabEquations, sizes: Sizes, relief: float, sunk: float) -> float:
+    """How much larger the variance is than the model's, of joints that are `sunk` with such a probability."""
+    if not len(model.joints.wide):
+        model.factor(sizes)
+        return max(1.0, model.misfit(relief))
+    aside = sizes.place * float(np.hypot(1.0, sizes.course)) / (DROWNED * model.joints.width)
+    return 1.0 + (MISFIT - 1.0) * sunk / (1.0 + aside**2)
 
 
 def _weights(value: Float[np.ndarray, "*k"]) -> Float[np.ndarray, "*k"]:
