@@ -31,7 +31,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground.sight import Sight, see
 from autoreg.image import as_colour, as_gray
 from autoreg.laying_in_tone import OWN_REASONS, lay_in_clearest_tone
-from autoreg.search import upright_by
+from autoreg.search.glance import upright_by
 from autoreg.slabs.camera_check import check_camera
 from autoreg.solve.solver import warm_up
 from autoreg.task import Task

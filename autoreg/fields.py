@@ -23,7 +23,7 @@ from autoreg.ground.sight import Sight, see
 from autoreg.paving.lattice_evidence import Paving, alike, has_ratio, presented
 from autoreg.paving.lay import refine_in_field
 from autoreg.paving.side_support import LEAST_SIDE_PX, Effort, presence_of
-from autoreg.search import find_on
+from autoreg.search.find import find_on
 from autoreg.segments import Segments
 
 # Edges up to so many camera heights away are looked at. Those that are square to each other within an angle

@@ -11,7 +11,8 @@ from autoreg.fitting.fit import Fit
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.rows.cross_joints import common_lean
 from autoreg.rows.rows import Rows
-from autoreg.search import find_paving, find_rows, other_camera
+from autoreg.search.find import find_paving, find_rows
+from autoreg.search.glance import other_camera
 from autoreg.task import Task
 
 

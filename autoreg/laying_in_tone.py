@@ -14,7 +14,8 @@ from autoreg.ground.sight import see
 from autoreg.joint_tone import Tone, clearest_tone
 from autoreg.laying import camera_to_blame, lay, lay_where
 from autoreg.paving.lattice_evidence import SAME_SPACING, alike
-from autoreg.search import find_on, promises
+from autoreg.search.find import find_on
+from autoreg.search.glance import promises
 from autoreg.task import Task
 
 # A tone that leaves the joints so many times as far from their lines as luminance does shows them less well.

@@ -12,7 +12,7 @@ from jaxtyping import Float32, UInt8
 from autoreg.alignment import CameraSource
 from autoreg.camera import Camera
 from autoreg.ground.sight import Sight
-from autoreg.search import RADIAL_SIGMA
+from autoreg.search.hypotheses import RADIAL_SIGMA
 from autoreg.solve.freedom import Free
 
 # What is known of an uncalibrated camera: logarithm of its focal length with and without EXIF (the latter

@@ -16,7 +16,8 @@ from autoreg.paving import lattice_choice
 from autoreg.paving.lattice_choice import settle_bond
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.multiples import divided
-from autoreg.search import find_paving, other_camera
+from autoreg.search.find import find_paving
+from autoreg.search.glance import other_camera
 from autoreg.segments import Segments
 from autoreg.synthetic import render_paving
 from benchmarks.suites.robust import angle_up_to_quarter_turns, square_seen

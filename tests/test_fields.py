@@ -17,7 +17,7 @@ from autoreg.ground.ground_frame import turned
 from autoreg.ground.points import on_ground, project_ground
 from autoreg.ground.sight import Sight, see
 from autoreg.paving.lattice_evidence import Paving
-from autoreg.search import find_paving
+from autoreg.search.find import find_paving
 from autoreg.segments import Segments
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from autoreg.task import Task

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from paved import CAMERA, HALF_BOND, STACK, gray_of
 
-from autoreg import search
 from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.geometry import angle_between_rotations
@@ -15,6 +14,9 @@ from autoreg.ground.sight import Look, Looks, Sight, see
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.periods import Comb, best_combs
 from autoreg.paving.plane_combs import OTHER_FOCALS, PlaneCombs, comb_planes, sharpened, with_other_focals
+from autoreg.search import find, glance
+from autoreg.search import planes as search_planes
+from autoreg.search.hypotheses import hypothesised
 from autoreg.segments import Segments
 from autoreg.synthetic import SyntheticPhoto, render_paving
 from benchmarks.suites.robust import angle_up_to_quarter_turns, soft_light
@@ -85,12 +87,12 @@ def test_the_true_focal_length_is_among_those_of_a_plane_that_has_a_wrong_one(
 def test_a_lattice_is_found_by_another_focal_length_than_that_of_the_segments(
     photo: SyntheticPhoto, sight: Sight, plane: PlaneCombs, monkeypatch: pytest.MonkeyPatch
 ):
-    free, _ = search._hypotheses(sight.segments, sight.size, None)
+    free, _ = hypothesised(sight.segments, sight.size, None)
     wrong = by_focal(sight, plane, 0.6 * plane.camera.fx)
-    monkeypatch.setattr(search, "_hypotheses", lambda *_, **__: (free, [(wrong.camera, wrong.R)]))
+    monkeypatch.setattr(find, "hypothesised", lambda *_, **__: (free, [(wrong.camera, wrong.R)]))
     # Neither are the joints lined up by the segments.
-    monkeypatch.setattr(search, "sharpened", lambda *_, **__: [wrong])
-    found = search.find_paving(sight, None)
+    monkeypatch.setattr(search_planes, "sharpened", lambda *_, **__: [wrong])
+    found = find.find_paving(sight, None)
     assert isinstance(found, Paving)
     assert found.grid.shift == pytest.approx(0.5)
     assert (found.grid.spacing_x or 0.0) / found.grid.spacing_y == pytest.approx(4.0, rel=0.02)
@@ -109,16 +111,16 @@ def test_where_the_clearest_ground_shows_the_lattice_plainly_no_other_one_is_sha
         asked.append(len(planes))
         return sharpened(looks, segments, planes, *count, free_focal=free_focal)
 
-    monkeypatch.setattr(search, "promising_plane", lambda *_: None)
-    monkeypatch.setattr(search, "sharpened", counted)
-    found = search.find_paving(sight, photo.camera)
+    monkeypatch.setattr(glance, "promising_plane", lambda *_: None)
+    monkeypatch.setattr(search_planes, "sharpened", counted)
+    found = find.find_paving(sight, photo.camera)
     assert isinstance(found, Paving)
     assert found.plain
     assert found.grid.shift == pytest.approx(0.5)
     assert asked == [1]
     asked.clear()
     monkeypatch.setattr(Paving, "plain", property(lambda _: False))
-    again = search.find_paving(sight, photo.camera)
+    again = find.find_paving(sight, photo.camera)
     assert isinstance(again, Paving)
     assert again.margin_nats == pytest.approx(found.margin_nats, abs=1.0)
     assert len(asked) == 2

@@ -13,7 +13,7 @@ from autoreg.ground.sight import looks_at, see
 from autoreg.image import as_gray
 from autoreg.paving.plane_combs import PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows, gaps_in_turn, lay_rows
-from autoreg.search import find_paving
+from autoreg.search.find import find_paving
 from autoreg.segments import Segments, detect_segments
 from autoreg.synthetic import SyntheticPhoto
 
@@ -107,9 +107,9 @@ def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(
 ):
     evidence = (60.0, 0.5)
     hardly = replace(ashlar_rows, paving=replace(ashlar_rows.paving, evidence_nats=evidence))
-    monkeypatch.setattr("autoreg.search.lay_rows", lambda *_: hardly)
-    monkeypatch.setattr("autoreg.search.lay_combs", lambda *_: None)
-    monkeypatch.setattr("autoreg.search.lay_lattice", lambda *_: ())
+    monkeypatch.setattr("autoreg.search.rows_on_planes.lay_rows", lambda *_: hardly)
+    monkeypatch.setattr("autoreg.search.glance.lay_combs", lambda *_: None)
+    monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_: ())
     with pytest.raises(Refusal) as refused:
         find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA)
     assert refused.value.code == "one_direction"

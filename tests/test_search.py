@@ -7,7 +7,7 @@ import pytest
 
 from autoreg.ground.sight import Sight, see
 from autoreg.paving.lattice_evidence import Paving
-from autoreg.search import find_paving
+from autoreg.search.find import find_paving
 from autoreg.segments import Detection, Segments
 from autoreg.synthetic import SyntheticPhoto
 from benchmarks.suites import robust
@@ -70,8 +70,8 @@ def test_a_running_bond_that_only_its_cross_joints_tell_is_found_by_them(
     half_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
 ):
     # As if no lattice of whole lines, nor one of courses, had been seen.
-    monkeypatch.setattr("autoreg.search.lay_combs", lambda *_: None)
-    monkeypatch.setattr("autoreg.search.lay_lattice", lambda *_: ())
+    monkeypatch.setattr("autoreg.search.glance.lay_combs", lambda *_: None)
+    monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_: ())
     found = find_paving(sight_of(half_photo), half_photo.camera)
     assert isinstance(found, Paving)
     assert found.grid.shift == 0.5

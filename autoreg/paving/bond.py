@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from autoreg.ground.bond_shift import nearest_customary
 from autoreg.ground.rectify import Family, Rectified, line_support
 from autoreg.ground.sides import Grid
-from autoreg.paving.periods import PHASES, Comb, best_combs, blurred, local_z, log_likelihood_ratio
+from autoreg.paving.periods import MIN_STEP, PHASES, Comb, best_combs, blurred, local_z, log_likelihood_ratio
 
 # Cross joints are judged clear of the unbroken joints that end them.
 MARGIN = 0.12
@@ -123,7 +123,7 @@ def best_bonds(
         i = np.arange(np.floor(offset[0] / a) - 1, np.ceil(offset[-1] / a) + 2)
         at = (wave / PHASES * a)[:, None] + i * a
         row = np.rint(np.interp(at, offset, rows, left=-1, right=-1)).astype(np.intp)
-        row[(row < 0) | (a / step[row] < 5.0)] = n
+        row[(row < 0) | (a / step[row] < MIN_STEP)] = n
         per_course[:, s] = by_place.take(row, axis=0).sum(1)
     moved = np.fft.fft(per_course, axis=0) @ turn.transpose(2, 0, 1)
     total = np.fft.ifft(moved, axis=0).real.transpose(1, 2, 0).reshape(len(spacings), -1)
@@ -213,7 +213,8 @@ def _cross_spacings(courses: Courses, cross: Family, comb: Comb, combs: tuple[Co
     if len(courses.index) == 0:
         return np.zeros(0)
     offset = cross.offset
-    finest, widest = 5.0 * float(np.diff(offset).min()), min(8 * comb.spacing, 0.8 * float(np.ptp(offset)))
+    finest = MIN_STEP * float(np.diff(offset).min())
+    widest = min(8 * comb.spacing, 0.8 * float(np.ptp(offset)))
     uniform = np.linspace(offset[0], offset[-1], AUTOCORRELATION)
     row = np.rint(np.interp(uniform, offset, np.arange(len(offset)))).astype(int)
     hits = np.maximum(courses.llr[:, row], 0.0)

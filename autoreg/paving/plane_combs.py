@@ -81,7 +81,7 @@ def sharpened(
     """Planes of which the first `count` have their joints lined up, the clearest first again."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         again = pool.map(
-            lambda plane: _sharpened(looks, segments, plane, free_focal=free_focal), planes[:count]
+            lambda plane: _lined_up(looks, segments, plane, free_focal=free_focal), planes[:count]
         )
         return sorted([*again, *planes[count:]], key=lambda plane: -plane.score)
 
@@ -94,7 +94,7 @@ def planes_as_they_came(looks: Looks, hypotheses: list[Hypothesis]) -> list[Plan
         return sorted((plane for plane in planes if plane is not None), key=lambda plane: -plane.score)
 
 
-def _sharpened(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_focal: bool) -> PlaneCombs:
+def _lined_up(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_focal: bool) -> PlaneCombs:
     """The plane with its joints lined up, looked at again.
 
     As a whole, where the joints are clearest, and where the segments crowd.

@@ -1,0 +1,147 @@
+"""The lattice, or the rows, that explain a photo best: several ways of looking, the quickest first."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from autoreg.answer.refusals import ambiguous, no_lattice
+from autoreg.camera import Camera
+from autoreg.errors import Refusal
+from autoreg.ground.directions import camera_rays, strongest_share
+from autoreg.ground.sight import Sight
+from autoreg.paving.lattice_choice import suited
+from autoreg.paving.lattice_evidence import Paving, rival
+from autoreg.paving.lay import lay_lattice
+from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
+from autoreg.rows.rows import Rows
+from autoreg.search.glance import at_a_glance
+from autoreg.search.hypotheses import hypothesised
+from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, lay_planes
+from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, fields_of_rows, rows_alone
+from autoreg.segments import Segments
+from autoreg.solve.freedom import Free
+
+# Fewer segments than this do not tell that all run in one direction.
+FEWEST_SEGMENTS = 20
+
+
+def find_paving(
+    sight: Sight,
+    camera: Camera | None,
+    slab: tuple[float, float] | None = None,
+    *,
+    walls: bool = True,
+) -> Paving | Rows:
+    """The lattice that explains the photo best, at detection scale; of those that suit the slab, if any do.
+
+    What is plain to see by a known camera is found by the coarser segments alone, while the others are being
+    looked for. They would tell a focal length too roughly.
+
+    Args:
+        sight: what is seen of the photo.
+        camera: its camera, or None to look for a focal length as well.
+        slab: sides of a slab in either order, if known.
+        walls: whether grounds that look like a wall seen from the front are looked into as well.
+
+    Raises:
+        Refusal: none explains it better than chance.
+    """
+    looks = sight.looks
+
+    def fitting(pavings: tuple[Paving, ...], *, halves: bool = False) -> tuple[Paving, ...]:
+        return pavings if slab is None else suited(looks.picture, pavings, slab, halves=halves)
+
+    def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
+        return fitting(pavings, halves=camera is not None) or pavings
+
+    def glanced(segments: Segments, free: Free, hypotheses: list[Hypothesis]) -> tuple[Paving, ...]:
+        first = at_a_glance(looks, segments, hypotheses, free)
+        return () if first is None else (first,)
+
+    if camera is not None:
+        coarse = sight.detection.coarse
+        seen = fitting(glanced(coarse, *hypothesised(coarse, sight.size, camera, walls=walls)))
+        if is_plain(seen):
+            return _unrivalled(seen)
+    segments = sight.segments
+    free, hypotheses = hypothesised(segments, sight.size, camera, walls=walls)
+    glance = glanced(segments, free, hypotheses)
+    best = fitting(glance)
+    if is_plain(best):
+        return _unrivalled(best)
+    best, planes = lay_planes(
+        looks, segments, hypotheses, best,
+        lambda plane: suitable(lay_lattice(looks, plane, free)), free_focal=camera is None,
+    )  # fmt: skip
+    # By another focal length what is plain to see may have the slab's shape.
+    if camera is None and not is_plain(best) and is_plain(glance):
+        best = glance
+    if best and best[0].margin_nats > 0:
+        return _unrivalled(best)
+    others = suitable(by_other_focals(looks, planes, free)) if camera is None else ()
+    if is_plain(others):
+        return _unrivalled(others)
+    fields = fields_of_rows(looks, segments, sight.size, planes)
+    others = suitable(by_cross_joints(looks, fields, free))
+    if others and others[0].margin_nats > 0:
+        return _unrivalled(others)
+    rows = rows_alone(fields)
+    if rows is None:
+        raise _no_paving(sight, camera, best, fields)
+    return rows
+
+
+def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving | None:
+    """The lattice on a known ground that does better than chance, if any does, at detection scale.
+
+    Args:
+        sight: what is seen of the photo.
+        camera: its camera.
+        R: cam_from_ground rotation, along whose X and Y axes the joints run.
+    """
+    free, looks, segments = Free(ratio=True), sight.looks, sight.segments
+    found = at_a_glance(looks, segments, [(camera, R)], free)
+    if found is None or not found.plain:
+        planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
+        found = next((paving for plane in planes for paving in lay_lattice(looks, plane, free)), None)
+    return found if found is not None and found.margin_nats > 0 else None
+
+
+def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
+    """The rows that explain the photo best, at detection scale, if any do better than chance.
+
+    For photos whose lattice, as `find_paving` gave it, has turned out to be none.
+    """
+    looks, segments = sight.looks, sight.segments
+    _, hypotheses = hypothesised(segments, sight.size, camera)
+    planes = comb_planes(looks, segments, hypotheses, free_focal=camera is None)[:MOST_PLANES]
+    fields = fields_of_rows(looks, segments, sight.size, planes)
+    return rows_alone(fields)
+
+
+def _unrivalled(pavings: tuple[Paving, ...]) -> Paving:
+    """The best of some pavings.
+
+    Raises:
+        Refusal: another one explains the picture as well.
+    """
+    other = rival(pavings)
+    if other is not None:
+        raise ambiguous(pavings[0], other)
+    return pavings[0]
+
+
+def _no_paving(
+    sight: Sight,
+    camera: Camera | None,
+    rejected: tuple[Paving, ...],
+    fields: list[tuple[Rows, PlaneCombs]],
+) -> Refusal:
+    """The refusal of a photo in which neither a lattice nor rows do better than chance."""
+    one_way = 0.0
+    if len(sight.segments) >= FEWEST_SEGMENTS:
+        # How many edges run in one direction is about the same by any focal length.
+        usual = camera or Camera.from_focal(*sight.size, float(max(sight.size)))
+        one_way = strongest_share(camera_rays(sight.segments, usual))
+    return no_lattice(rejected[0] if rejected else None, clearest_alone(fields), one_way)

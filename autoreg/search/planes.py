@@ -1,0 +1,85 @@
+"""Lattices on the hypothesised grounds that are worth the time to look into."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from autoreg.ground.sight import Looks
+from autoreg.paving.lattice_evidence import Paving
+from autoreg.paving.lay import lay_first
+from autoreg.paving.plane_combs import (
+    PROMISING_NATS,
+    SHARPENED,
+    Hypothesis,
+    PlaneCombs,
+    planes_as_they_came,
+    sharpened,
+    with_other_focals,
+)
+from autoreg.segments import Segments
+from autoreg.solve.freedom import Free
+
+# How many grounds are looked into, those with the clearest joints first.
+MOST_PLANES = 3
+# Beyond this margin the clearest ground's lattice is clear enough to leave grounds whose joints carry less
+# than this share of its own, as they came.
+CLEAR_NATS, LESS_CLEAR = 20.0, 0.5
+# Where none of them has a lattice, so many other focal lengths of the clearest one are looked into.
+MOST_FOCALS = 5
+
+
+def lay_planes(
+    looks: Looks,
+    segments: Segments,
+    hypotheses: list[Hypothesis],
+    best: tuple[Paving, ...],
+    lay: Callable[[PlaneCombs], tuple[Paving, ...]],
+    *,
+    free_focal: bool,
+) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
+    """The best lattices of these and of those on the hypothesised grounds, and the grounds looked into.
+
+    To sharpen a plane takes a good part of a second, and to lay a lattice on it some: that which is
+    clearest as it came goes first, and where it shows a clear lattice those that are far less clear are left.
+    """
+    planes = planes_as_they_came(looks, hypotheses)
+    if not planes:
+        return best, []
+    (first,) = sharpened(looks, segments, planes[:1], free_focal=free_focal)
+    best = _better(best, lay(first))
+    if is_plain(best):
+        return best, [first]
+    clear = bool(best) and best[0].margin_nats > CLEAR_NATS
+    others = [plane for plane in planes[1:] if not clear or plane.score > LESS_CLEAR * planes[0].score]
+    others = sharpened(looks, segments, others, SHARPENED - 1, free_focal=free_focal)
+    ranked = sorted([first, *others], key=lambda plane: -plane.score)[:MOST_PLANES]
+    for plane in ranked:
+        if plane is not first and not is_plain(best):
+            best = _better(best, lay(plane))
+    return best, ranked
+
+
+def _better(best: tuple[Paving, ...], others: tuple[Paving, ...]) -> tuple[Paving, ...]:
+    """Those lattices of the two whose first explains the picture better."""
+    return max(best, others, key=lambda pavings: pavings[0].margin_nats if pavings else -np.inf)
+
+
+def is_plain(pavings: tuple[Paving, ...]) -> bool:
+    """Whether the first of some lattices is there, and plain to see."""
+    return bool(pavings) and pavings[0].plain
+
+
+def by_other_focals(looks: Looks, planes: list[PlaneCombs], free: Free) -> tuple[Paving, ...]:
+    """The lattice that is plain to see on the clearest plane by another focal length, if any is.
+
+    By the right one the first start shows it: others, which take several times as long, never did.
+    """
+    if not planes or planes[0].score < PROMISING_NATS:
+        return ()
+    for plane in with_other_focals(looks, planes[0])[:MOST_FOCALS]:
+        laid = lay_first(looks, plane, free)
+        if laid is not None and laid.plain:
+            return (laid,)
+    return ()
