@@ -11,7 +11,8 @@ from autoreg.answer.full_resolution import REACH, from_what_shows
 from autoreg.answer.last_step import likeliest, rested
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
-from autoreg.fitting.refine import NARROW, refine_until_still
+from autoreg.fitting.measure import NARROW
+from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, nearest_rotation, rotation_from_vector, vector_from_rotation
 from autoreg.ground.points import on_ground, project_ground
 from autoreg.ground.sides import Grid

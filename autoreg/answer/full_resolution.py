@@ -27,8 +27,9 @@ from autoreg.fitting.bare_steps import from_near_rims
 from autoreg.fitting.beds import on_slabs_level
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.lit_sides import beside_lit_sides
+from autoreg.fitting.measure import NARROW
 from autoreg.fitting.one_edge import met_at_one_edge, with_both_edges
-from autoreg.fitting.refine import FROM_THE_FEET, NARROW, WIDE_SEARCH, refine, refine_until_still
+from autoreg.fitting.refine import FROM_THE_FEET, WIDE_SEARCH, refine, refine_until_still
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight
 from autoreg.paving.corrections import by_measured_shifts

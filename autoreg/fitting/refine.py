@@ -9,36 +9,24 @@ from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
+from autoreg.fitting.measure import NARROW, measure
 from autoreg.fitting.scatter import beside_rim, scatter_model
 from autoreg.geometry import Rigid
 from autoreg.ground.points import project_ground
-from autoreg.ground.sides import ALONG_X, Grid, visible_sides
-from autoreg.ground.stations import Stations, place_stations
-from autoreg.joints.edges import LEAST_STRENGTH, Offsets, fit_offsets
-from autoreg.joints.first_looks import first_look, joint_polarity, search_joints
-from autoreg.joints.joint_looks import DARK, Strip, bloom_px, middle_px, projected_width_px, width_px_of
-from autoreg.joints.look_estimates import estimate_strip
-from autoreg.joints.profiles import Profiles, sample_profiles
+from autoreg.ground.sides import Grid
+from autoreg.ground.stations import Stations
+from autoreg.joints.edges import Offsets
+from autoreg.joints.joint_looks import Strip
+from autoreg.joints.profiles import Profiles
 from autoreg.joints.smeared_looks import smear_px
 from autoreg.solve.freedom import Free, moved_camera, moved_pose, stretched
 from autoreg.solve.joint_data import JointData, parameter_scale
 from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, MOST_STEPS, solve_joints
 
-# Solves per round, each with the scatter that the one before left; and the widest search, in slab sides, that
-# finds the joints for good.
-SOLVES, NARROW = 2, 0.04
+# Solves per round, each with the scatter that the one before left.
+SOLVES = 2
 # A slab's side is at least this part of the camera's height, and at most as many times it.
 MOST_SIDES = 200.0
-# Where joints are neither dark nor light, those whose contrast, against the light around them, is below this
-# part of what is usual are none.
-FAINT = 0.1
-# What stations keep off the ends of their side, as a share of it: at least so much, and so much more than the
-# width of the joint that crosses there, of which half lies within the side, and more where it is seen aslant.
-LEAST_MARGIN, BESIDE_CROSSING = 0.1, 0.05
-# What is seen on either side of a joint, and the farthest that profiles reach for wide ones, in pixels.
-SHOULDERS_PX, WIDEST_HALF_PX = 6.0, 40.0
-# ... and where nothing is known of the joints.
-UNKNOWN_HALF_PX = 16.0
 # Where what is near must bring the farther joints within reach: how far to look, in camera heights, and the
 # half width of the first search, in slab sides.
 FROM_THE_FEET, WIDE_SEARCH = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0), 0.15
@@ -158,59 +146,14 @@ def _round(
     limit: int,
     most_steps: int,
 ) -> Fit | None:
-    sides = visible_sides(camera, pose, grid, reach=reach, field=field)
-    if len(sides) < 6:
+    found = measure(picture, camera, pose, grid, strip, search=search, reach=reach, field=field, limit=limit)
+    if found is None:
         return None
-    side = np.array(grid.slab_size)
-    # What crosses a side is of the other family.
-    x, y = (0.0, 0.0) if strip is None else strip.width
-    crossing = np.where(sides.family == ALONG_X, y / side[0], x / side[1])
-    margin = np.maximum(LEAST_MARGIN, BESIDE_CROSSING + crossing)
-    stations = place_stations(sides, camera, pose, limit=limit, margin=margin)
-    across = np.where(stations.family == ALONG_X, side[1], side[0])
-    least = 10.0 if search else 7.0
-    if strip is None:
-        # As wide as joints can be that nothing is known of, but clear of the neighbours.
-        slab_px = projected_width_px(camera, pose, stations, (side[1], side[0]))
-        half = np.clip(0.35 * slab_px, least, UNKNOWN_HALF_PX)
-    else:
-        wide_px = projected_width_px(camera, pose, stations, strip.width)
-        wide_px = np.maximum(wide_px, strip.least_px(stations))
-        half = np.clip(0.5 * wide_px + SHOULDERS_PX, least, WIDEST_HALF_PX)
-    profiles = sample_profiles(picture, camera, pose, stations, half + 3.0)
-    pitch_px = across * profiles.px_per_unit
-    reach_px = np.clip(search * pitch_px, 1.5, least) if search else np.full(len(stations), 1.5)
-    known = strip is not None
-    if strip is None:
-        strip = Strip((0.02 * side[1], 0.02 * side[0]), 0.9)
-        start, strip = first_look(profiles, stations, strip, side, reach_px)
-    elif search:
-        start = search_joints(profiles, stations, strip, reach_px)
-    else:
-        start = np.zeros(len(stations))
-    widest_px = 2 * (half - SHOULDERS_PX + 3.0)
-    # Joints of unknown looks are measured again with the looks that the first measurement told, and so are
-    # those that are found for good where they look otherwise than thought.
-    offsets, usable = None, None
-    rough = search > NARROW
-    for _ in range(2 if not known or (search and not rough) else 1):
-        thought = strip
-        measured = _measured(profiles, stations, start, strip, widest_px, reach_px, side, known=known)
-        if measured is None:
-            return None
-        offsets, usable, strip = measured
-        start = offsets.offset_px
-        if known and strip.like(thought):
-            break
-    assert offsets is not None
-    assert usable is not None
-    middle = middle_px(camera, pose, stations, profiles.normal, strip)
-    offsets = replace(offsets, offset_px=offsets.offset_px - middle)
-    bloom = bloom_px(offsets, stations, strip, usable)
-    offsets = replace(offsets, offset_px=offsets.offset_px - bloom)
+    stations, profiles, offsets, usable = found.stations, found.profiles, found.offsets, found.usable
     sigma = np.hypot(offsets.sigma_px, 0.3)
     fit: Fit | None = None
     # While joints are searched farther off the next round solves again.
+    rough = search > NARROW
     for _ in range(1 if rough else SOLVES):
         data = joint_data(camera, pose, stations, profiles, offsets, sigma, usable)
         prior = free.prior(camera, grid)
@@ -220,13 +163,13 @@ def _round(
             return fit
         distances = solution.distances_px
         if not search:
-            usable = usable & ~beside_rim(distances, profiles.px_per_unit * across, stations, usable)
+            usable = usable & ~beside_rim(distances, profiles.px_per_unit * found.across, stations, usable)
         sigma = scatter_model(distances, offsets.sigma_px, profiles.px_per_unit, stations.side, usable)
         fit = Fit(
             camera=moved_camera(camera, solution),
             cam_from_ground=moved,
             grid=new_grid,
-            strip=strip,
+            strip=found.strip,
             stations=stations,
             profiles=profiles,
             offsets=offsets,
@@ -246,43 +189,6 @@ def _plausible(pose: Rigid, grid: Grid) -> bool:
     height = float(pose.origin_in_a[2])
     sides = np.array(grid.slab_size) / height
     return bool(height > 0 and (sides > 1.0 / MOST_SIDES).all() and (sides < MOST_SIDES).all())
-
-
-def _measured(
-    profiles: Profiles,
-    stations: Stations,
-    start: np.ndarray,
-    strip: Strip,
-    widest_px: np.ndarray,
-    reach_px: np.ndarray,
-    side: np.ndarray,
-    *,
-    known: bool,
-) -> tuple[Offsets, np.ndarray, Strip] | None:
-    """Offsets from a start, which of them can be used, and the joints' looks by those; None if too few.
-
-    Looks that are `known` change little.
-    """
-    width_px = width_px_of(strip, stations, profiles)
-    offsets = fit_offsets(profiles, start, np.minimum(width_px, widest_px), strip.blur_px)
-    usable = (offsets.strength > LEAST_STRENGTH) & np.isfinite(offsets.offset_px)
-    usable &= np.abs(offsets.offset_px) < reach_px + 1.5
-    if known:
-        # A strip that is too narrow holds on to one edge.
-        usable &= width_px <= widest_px
-    polarity = strip.polarity
-    if not strip.polarity_known:
-        polarity = joint_polarity(profiles, stations, offsets.offset_px, strip, side)
-    sign = np.array(polarity)[stations.family]
-    usable &= (sign == 0) | (offsets.depth * sign > 0)
-    contrast = (np.abs(offsets.depth) + 0.5 * np.abs(offsets.step)) / (profiles.values.mean(1) + DARK)
-    if usable.any():
-        usable &= (sign != 0) | (contrast > FAINT * np.median(contrast[usable]))
-    if usable.sum() < 12:
-        return None
-    strip = replace(strip, polarity=polarity)
-    strip = estimate_strip(profiles, offsets, stations, strip, usable, side, thorough=not known)
-    return offsets, usable, strip
 
 
 def joint_data(
