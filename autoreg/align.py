@@ -157,7 +157,8 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
     focal, focal_sigma = (check.focal_px, strained**0.5 * check.focal_sigma_px) if told else (None, None)
     if squared is not None:
         focal, focal_sigma = fit.camera.fx, fit.camera.fx * squared.sigma_log_focal
-    unlike = unlike_slab(fit, task.slab, last.ratio_sigma, scale) if source == "file" and task.slab else None
+    told_slab = task.slab if source == "file" else None
+    unlike = None if told_slab is None else unlike_slab(fit, told_slab, last.ratio_sigma, scale)
     consistent = check.consistent and not (unlike is not None and unlike.contradicts)
     answer = Pose(Rigid(pose.R, scale * pose.t), covariance)
     return Alignment(

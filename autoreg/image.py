@@ -197,8 +197,10 @@ def _bytes_of(path: Path) -> bytes:
 
 
 def _decode_gray(path: Path, data: bytes) -> UInt8[np.ndarray, "h w"]:
+    # JPEG stores the luma by itself. Each other decoder weighs colours in a way of its own, as_gray in one.
+    mode = cv2.IMREAD_GRAYSCALE if data.startswith(b"\xff\xd8") else cv2.IMREAD_ANYCOLOR
     try:
-        picture = _decoded(data, cv2.IMREAD_GRAYSCALE)
+        picture = _decoded(data, mode)
     except (cv2.error, MemoryError) as error:
         raise InputError(
             f"photo {path} cannot be decoded: OpenCV takes at most 2^30 pixels, as far as memory goes; "

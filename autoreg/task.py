@@ -58,12 +58,15 @@ class Task:
             raise ValueError("slab, camera_height: give one of them, both set the scale")
         if self.slab is not None and not _lengths(self.slab, (2,)):
             raise ValueError(
-                f"slab: two lengths in metres are wanted, such as (0.6, 0.4), {_within()}, got {self.slab!r}"
+                f"slab: two lengths in metres are wanted, such as (0.6, 0.4), each {_within()}, "
+                f"got {self.slab!r}"
             )
         if self.camera_height is not None and not _lengths(self.camera_height, ()):
             raise ValueError(
                 f"camera_height: must be a length in metres, {_within()}, got {self.camera_height!r}"
             )
+        if self.slab is not None:
+            object.__setattr__(self, "slab", tuple(float(side) for side in self.slab))
 
     @cached_property
     def picture(self) -> Float32[np.ndarray, "h w"]:
@@ -124,17 +127,21 @@ def _check_camera(camera: object, width: int, height: int) -> None:
         raise ValueError(f"camera: a Camera or None is wanted, got {type(camera).__name__}; see read_camera")
     if (camera.width, camera.height) != (width, height):
         size = f"{camera.width}x{camera.height}"
-        raise ValueError(f"camera: is for {size} pixels, the photo has {width}x{height}")
+        raise ValueError(
+            f"camera: is for {size} pixels, the photo has {width}x{height}; see Camera.scaled and cropped"
+        )
 
 
 def _lengths(value: object, shape: tuple[int, ...]) -> bool:
     """Whether a caller's lengths are what their type says, and such as something on earth may have."""
     try:
-        metres = np.asarray(value, float)
-    except (TypeError, ValueError):
+        metres = np.asarray(value)
+    except ValueError:
+        return False
+    if metres.dtype.kind not in "iuf":
         return False
     return metres.shape == shape and bool(((metres >= LENGTHS_M[0]) & (metres <= LENGTHS_M[1])).all())
 
 
 def _within() -> str:
-    return f"each from {LENGTHS_M[0]:g} to {LENGTHS_M[1]:g}"
+    return f"from {LENGTHS_M[0]:g} to {LENGTHS_M[1]:g}"

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,6 +25,7 @@ from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, re
 ROOT = Path(__file__).resolve().parents[1]
 FIXTURES = ROOT / "fixtures"
 SCENES = ROOT.parent / "shared" / "scenes"
+HERRINGBONE = ROOT.parent / "shared" / "photos" / "refuse" / "hg_herringbone_18.jpg"
 
 
 @dataclass(frozen=True)
@@ -274,6 +276,16 @@ def test_ray_traced_scenes_are_aligned(name: str):
     assert crossing_px < 1.5
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not HERRINGBONE.is_file(), reason="needs the photos beside the repository")
+@pytest.mark.parametrize("part", [np.s_[:716], np.s_[308:]], ids=["left", "right"])
+def test_parts_of_a_herringbone_drive_are_refused(part: slice):
+    gray = cv2.imread(str(HERRINGBONE), cv2.IMREAD_GRAYSCALE)
+    assert gray is not None
+    with pytest.raises(Refusal):
+        autoreg.align(np.ascontiguousarray(gray[:, part]), None)
+
+
 @pytest.mark.parametrize("told", [True, False], ids=["camera", "no camera"])
 def test_boards_are_refused_for_having_one_direction(told: bool):
     # Far from where any of them ends.
@@ -285,15 +297,17 @@ def test_boards_are_refused_for_having_one_direction(told: bool):
     assert "joints in both directions" in refusal.value.message
 
 
-@pytest.mark.parametrize("slab", [(0.6, -0.4), (0.6, float("nan")), (0.0, 0.4), (1e300, 1e300)])
-def test_a_slab_has_two_lengths_that_slabs_may_have(slab: tuple[float, float]):
+@pytest.mark.parametrize(
+    "slab", [(0.6, -0.4), (0.6, float("nan")), (0.0, 0.4), (1e300, 1e300), (True, True), ("0.6", "0.4")]
+)
+def test_a_slab_has_two_lengths_that_slabs_may_have(slab: Any):
     photo = drawn("stack")
     with pytest.raises(ValueError, match=r"slab: two lengths in metres are wanted, .* from 1e-06 to 1e\+06"):
         autoreg.align(photo.pixels, photo.camera, slab=slab)
 
 
-@pytest.mark.parametrize("height", [0.0, -1.5, float("inf"), 1e300])
-def test_a_camera_stands_at_a_height_that_cameras_may_have(height: float):
+@pytest.mark.parametrize("height", [0.0, -1.5, float("inf"), 1e300, True, "1.5"])
+def test_a_camera_stands_at_a_height_that_cameras_may_have(height: Any):
     photo = drawn("stack")
     with pytest.raises(ValueError, match=r"camera_height: must be a length in metres"):
         autoreg.align(photo.pixels, photo.camera, camera_height=height)

@@ -96,6 +96,14 @@ def test_the_joints_of_herringbone_stand_in_columns_of_its_slabs_width(
     assert in_columns(cross_joints(x, row), WIDTH)
 
 
+def test_so_do_those_of_worn_herringbone_among_as_many_other_marks():
+    rng = np.random.default_rng(6)
+    row = rng.integers(0, 12, 100)
+    x = WIDTH * rng.integers(-12, 12, 100).astype(float)
+    x[55:] = rng.uniform(x.min(), x.max(), 45)
+    assert in_columns(cross_joints(x, row), WIDTH)
+
+
 def test_the_cross_joints_of_rows_stand_in_no_columns():
     rng = np.random.default_rng(5)
     random = [

@@ -302,8 +302,52 @@ def test_a_full_disk_is_said_in_one_line(photo, aligned, monkeypatch):
     done = run("align", photo, "-o", "out")
     assert done.exit_code == 2
     assert "No space left on device" in done.stderr
-    assert not [name for name in files("out") if name.endswith(".part")]
-    assert "alignment.json" not in files("out")
+    assert not Path("out").exists()
+
+
+def test_until_all_of_a_run_is_written_an_earlier_ones_results_stay(photo, aligned, monkeypatch):
+    assert run("align", photo, "-o", "out", "--render", "--engine", "preview").exit_code == 0
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+
+    def full(path, content):
+        raise OSError(28, "No space left on device", str(path))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(render_job, "write_whole", full)
+        done = run("align", photo, "-o", "out")
+        assert done.exit_code == 2
+        assert "No space left on device: 'out/" in done.stderr
+        assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+        assert run("align", photo, "-o", "fresh").exit_code == 2
+        assert not Path("fresh").exists()
+    assert run("align", photo, "-o", "out").exit_code == 0
+    assert files("out") == ALWAYS
+
+
+def test_an_edited_scene_is_kept_under_another_name(photo, aligned):
+    def edit(text):
+        scene = Path("out/scene.pov")
+        scene.write_text(text)
+        later = scene.stat().st_mtime + 60
+        os.utime(scene, (later, later))
+
+    assert run("align", photo, "-o", "out").exit_code == 0
+    edit("mine")
+    done = run("align", photo, "-o", "out")
+    assert "scene.pov was changed after it had been written; it is kept as scene-edited-1.pov" in done.stderr
+    assert Path("out/scene-edited-1.pov").read_text() == "mine"
+    assert files("out") == ALWAYS | {"scene-edited-1.pov"}
+    edit("mine again")
+    assert run("render", "out/alignment.json", "--engine", "preview").exit_code == 0
+    assert Path("out/scene-edited-2.pov").read_text() == "mine again"
+    assert "kept" not in run("align", photo, "-o", "out").stderr
+
+
+def test_a_camera_height_in_centimetres_is_wondered_at(photo, monkeypatch):
+    found = alignment(pose=replace(POSE, t=100.0 * POSE.t))
+    monkeypatch.setattr(autoreg.align, "align_seen", lambda *_, **__: found)
+    done = run("align", photo, "--camera-height", "165", "-o", "out")
+    assert "--camera-height is in metres, so check it" in done.stderr
 
 
 def test_an_input_error_from_the_pipeline_exits_2(photo, monkeypatch):
@@ -373,7 +417,9 @@ def test_nothing_is_compiled_for_a_run_that_has_ended(monkeypatch):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGINT") or os.name == "nt", reason="needs POSIX signals")
-def test_a_real_interrupt_ends_the_process_with_130(tmp_path):
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("stuck", [False, True], ids=["", "stuck"])
+def test_a_real_interrupt_ends_the_process_with_130(tmp_path, name, stuck):
     rng = np.random.default_rng(0)
     cv2.imwrite(str(tmp_path / "photo.png"), rng.integers(0, 255, (900, 1200)).astype(np.uint8))
     code = (
@@ -382,7 +428,11 @@ def test_a_real_interrupt_ends_the_process_with_130(tmp_path):
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "autoreg.jobs.job._warm_up = lambda ended: None\n"
         "autoreg.jobs.job.load_photo = lambda path: (print('begun', flush=True), time.sleep(60))\n"
+        "import autoreg.command.cli, threading\n"
         "from autoreg.command.cli import main\n"
+        # An import that was broken off may leave another thread waiting for it for ever.
+        f"autoreg.command.cli.PATIENCE_S, stuck = 0.2, {stuck}\n"
+        "if stuck: threading.Thread(target=threading.Event().wait).start()\n"
         "sys.argv = ['autoreg', 'align', 'photo.png']\n"
         "main()\n"
     )
@@ -396,7 +446,7 @@ def test_a_real_interrupt_ends_the_process_with_130(tmp_path):
     )
     assert process.stdout.readline() == "begun\n"
     time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, name))
     _, said = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "Traceback" not in said

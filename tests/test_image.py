@@ -113,6 +113,14 @@ def test_pictures_of_sixteen_bits_are_reduced_to_eight(photo_of, ending, shape):
     assert np.abs(photo.gray - expected / 257.0).max() < 1.5
 
 
+@pytest.mark.parametrize("ending", [".png", ".tif", ".bmp", ".webp", ".ppm"])
+def test_the_same_pixels_are_the_same_gray_in_every_format(photo_of, ending):
+    pixels = np.random.default_rng(2).integers(0, 256, (80, 120, 3)).astype(np.uint8)
+    lossless = [cv2.IMWRITE_WEBP_QUALITY, 101] if ending == ".webp" else []
+    photo = photo_of(cv2.imencode(ending, pixels, lossless)[1].tobytes(), f"photo{ending}")
+    np.testing.assert_array_equal(photo.gray, as_gray(pixels))
+
+
 @pytest.mark.parametrize("order", ["big", "little"])
 def test_a_tiff_of_either_byte_order_obeys_its_orientation_once(photo_of, order):
     mark = ">" if order == "big" else "<"

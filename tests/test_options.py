@@ -19,7 +19,7 @@ def test_one_number_is_a_square():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "x", "0.6x", "0x0.4", "-1x2", "1x2x3", "nanx1", "infx1", "a", "0,6x0,4", "60cm"]
+    "text", ["", "x", "0.6x", "0x0.4", "-1x2", "1x2x3", "nanx1", "infx1", "a", "0,6x0,4", "60cm", "0_5"]
 )
 def test_what_is_no_slab_is_an_input_error_that_quotes_it(text):
     with pytest.raises(InputError, match="--slab wants metres") as caught:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from made_sides import drawn_presence
 from paved import GRAVEL, gray_of, misses, nudged
 
 from autoreg.fitting.fit import Fit
@@ -208,6 +209,18 @@ def test_an_unclear_lattice_is_judged_by_the_look_that_shows_it_better(
     better = looks[USUAL if worse == CLOSE else CLOSE]
     assert len(looks) == 2
     assert paving.presence is better
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_a_small_field_whose_joints_break_off_as_those_of_herringbone_is_no_lattice(
+    stack_fit: Fit, stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch, gaps: bool
+):
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 12.0))
+    cuts = gaps & (sides.family == ALONG_Y) & ((sides.line - sides.cell) % 4 == 1)
+    closer = drawn_presence(sides, ~cuts, np.random.default_rng(3))
+    monkeypatch.setattr("autoreg.paving.lattice_evidence.looked_at_closer", lambda *_: closer)
+    monkeypatch.setattr("autoreg.paving.lattice_evidence.PLAIN_NATS", np.inf)
+    assert (presented(gray_of(stack_photo), stack_fit) is None) == gaps
 
 
 def test_halves_of_a_slab_do_not_suit_it_though_they_have_its_shape(

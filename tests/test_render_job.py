@@ -173,6 +173,12 @@ def test_the_photo_is_found_from_elsewhere_and_another_folder_gets_everything(fo
     assert json.loads((folder / "out" / "alignment.json").read_text())["render"] is None
 
 
+def test_the_photo_is_found_from_within_the_folder_of_results(folder, monkeypatch):
+    monkeypatch.chdir(folder / "out")
+    done = CliRunner().invoke(app, ["render", "alignment.json", "--engine", "preview"])
+    assert done.exit_code == 0, done.stderr
+
+
 def test_the_lens_comes_from_exif_unless_it_is_given(folder):
     exif = Image.Exif()
     exif.get_ifd(0x8769).update({0x829D: 4.0, 0x920A: 24.0})

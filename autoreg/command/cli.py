@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
     from autoreg.jobs.job import Job
 
 INTERRUPTED = 130
+# What an interrupted command gives its threads to end what they import or compile.
+PATIENCE_S = 8.0
 
 app = typer.Typer(
     add_completion=False,
@@ -211,19 +215,46 @@ def options(
 
 def main() -> None:
     """Run the command line; it ends the process with the contract's exit codes."""
-    # A polite kill ends a run as Ctrl-C does: other programs are stopped, and nothing is half written.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    # Ctrl-C may come before a command has begun.
+    # A polite kill or a closed terminal ends a run as Ctrl-C does: other programs are stopped, and nothing is
+    # half written. With nohup a closed terminal is ignored.
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
+    # Ctrl-C may come before a command has begun, and while its threads are waited for.
     try:
         try:
             app(prog_name="autoreg")
+        except SystemExit as end:
+            if end.code == INTERRUPTED:
+                raise KeyboardInterrupt from None
+            raise
         finally:
-            # What a thread imports or compiles must not be broken off by the interpreter's end.
-            for thread in threading.enumerate():
-                if thread is not threading.current_thread() and not thread.daemon:
-                    thread.join()
+            if not isinstance(sys.exception(), KeyboardInterrupt):
+                _joined_threads()
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        _leave_interrupted()
+
+
+def _joined_threads(patience_s: float = threading.TIMEOUT_MAX) -> bool:
+    """Wait for other threads: what they import or compile must not be broken off by the interpreter's end.
+
+    Whether all of them have ended by then.
+    """
+    until = time.monotonic() + patience_s
+    others = [t for t in threading.enumerate() if t is not threading.current_thread() and not t.daemon]
+    for thread in others:
+        thread.join(max(0.0, min(until - time.monotonic(), threading.TIMEOUT_MAX)))
+    return not any(thread.is_alive() for thread in others)
+
+
+def _leave_interrupted() -> NoReturn:
+    """End an interrupted process, at once where a thread waits for ever for an import that was broken off."""
+    if not _joined_threads(PATIENCE_S):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(INTERRUPTED)
+    sys.exit(INTERRUPTED)
 
 
 @contextmanager

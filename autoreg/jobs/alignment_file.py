@@ -73,16 +73,19 @@ def read_alignment(path: Path) -> SavedAlignment:
 
 
 def aligned_photo(alignment: Path, saved: SavedAlignment) -> Path:
-    """The photo that was aligned, by its path in the report: from here, or from beside the report.
+    """The photo that was aligned, by its path in the report: from here, from the report's folder or above.
 
     Raises:
         InputError: it is not there, or what is there is another picture of that name.
     """
-    beside = alignment.parent
-    places = (saved.photo, beside / saved.photo, beside.parent / saved.photo.name)
+    beside = alignment.absolute().parent
+    above = beside.parent
+    places = (saved.photo, beside / saved.photo, above / saved.photo, above / saved.photo.name)
     found = [place for place in places if place.is_file()]
     if not found:
-        raise InputError(f"the photo {saved.photo} is not there any more; say where it is with --photo")
+        raise InputError(
+            f"the photo {saved.photo} is neither here nor near {alignment}; say where it is with --photo"
+        )
     if saved.sha256 is None:
         return found[0]
     for place in found:

@@ -20,12 +20,13 @@ from autoreg.errors import InputError, Refusal, RenderError
 from autoreg.ground.sight import see
 from autoreg.image import Photo, load_photo
 from autoreg.jobs.outputs import (
+    REPORT_NAME,
     as_paths,
-    clear_results,
     kept_apart,
     places_free,
     results_in,
     usable_folder,
+    whole_run,
     write_png,
     write_whole,
 )
@@ -105,8 +106,8 @@ def demo_job(folder: Path, engine: EngineName | None) -> Job:
 def run_job(job: Job, listener: Listener) -> Outcome:
     """The outcome of a run, whose results are then in the folder.
 
-    Nothing is written before the photo is aligned or refused; the report is written once all that it
-    stands beside is there, and again with what the render adds.
+    Nothing is written before the photo is aligned or refused, and an earlier run's results stay until all new
+    ones are there; the report is written again with what the render adds.
 
     Args:
         job: what to do.
@@ -177,10 +178,11 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
             )
         except Refusal as refusal:
             report = refused_report(job.photo, photo.width, photo.height, refusal, camera)
-            written = _write_report(job, report, fresh=True)
-            return Outcome(report, None, refusal, None, (written,))
+            with whole_run(job.folder, listener.note) as place:
+                _write_report(place, report)
+            return Outcome(report, None, refusal, None, (job.folder / REPORT_NAME,))
 
-        if unusual := _unusual_height(alignment):
+        if unusual := _unusual_height(job, alignment):
             listener.note(unusual)
         listener.doing("drawing")
         colour = decoded.result()
@@ -188,21 +190,20 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
         drawn = beside.submit(overlay_picture, alignment, colour)
         plan = make_plan(job.wish, scene, alignment, colour, job.photo)
         overlay = drawn.result()
-        job.folder.mkdir(parents=True, exist_ok=True)
-        clear_results(job.folder)
-        staged = beside.submit(write_scene, job.folder, plan)
-        written = [write_png(job.folder / "overlay.png", overlay), *staged.result()]
-    written.append(_write_report(job, report))
+        with whole_run(job.folder, listener.note) as place:
+            staged = beside.submit(write_scene, place, plan)
+            made = [write_png(place / "overlay.png", overlay), *staged.result(), _write_report(place, report)]
+        written = [job.folder / path.name for path in made]
     if job.engine is None:
         return Outcome(report, alignment, None, None, tuple(written))
     try:
-        made, pictures = render_into(
+        rendered, pictures = render_into(
             job.folder, plan, colour, job.wish, job.engine, listener.doing, listener.progress, listener.note
         )
     except RenderError as error:
         return Outcome(report, alignment, None, error, tuple(written))
-    report = report | {"render": render_report(made)}
-    _write_report(job, report)
+    report = report | {"render": render_report(rendered)}
+    _write_report(job.folder, report)
     return Outcome(report, alignment, None, None, (*written, *pictures))
 
 
@@ -237,19 +238,23 @@ def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:
     return camera
 
 
-def _unusual_height(alignment: Alignment) -> str | None:
-    """What to say where slabs of this size put the camera where few photos are taken from."""
+def _unusual_height(job: Job, alignment: Alignment) -> str | None:
+    """What to say where the lengths that were given put the camera where few photos are taken from."""
     height = float(alignment.pose.cam_from_ground.origin_in_a[2])
-    if alignment.scale_source != "slab" or _USUAL_M[0] <= height <= _USUAL_M[1]:
+    if _USUAL_M[0] <= height <= _USUAL_M[1]:
         return None
-    return (
-        f"slabs of this size put the camera {height:.3g} metres above the ground; --slab is in metres, so "
-        "check it: 60 cm by 40 cm are 0.6x0.4"
-    )
+    if job.camera_height is not None:
+        return (
+            f"few photos are taken from {height:.3g} metres above the ground; --camera-height is in metres, "
+            "so check it: 165 cm are 1.65"
+        )
+    if job.slab is not None:
+        return (
+            f"slabs of this size put the camera {height:.3g} metres above the ground; --slab is in metres, "
+            "so check it: 60 cm by 40 cm are 0.6x0.4"
+        )
+    return None
 
 
-def _write_report(job: Job, report: Report, *, fresh: bool = False) -> Path:
-    job.folder.mkdir(parents=True, exist_ok=True)
-    if fresh:
-        clear_results(job.folder)
-    return write_whole(job.folder / "alignment.json", report_text(report).encode())
+def _write_report(folder: Path, report: Report) -> Path:
+    return write_whole(folder / REPORT_NAME, report_text(report).encode())

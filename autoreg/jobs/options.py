@@ -109,7 +109,8 @@ def parse_height(value: float) -> float:
 def _number(text: str) -> float | None:
     """The finite number that a text is, or None."""
     try:
-        value = float(text)
+        # Python would take 0_5 for 5.
+        value = float(text.replace("_", "?"))
     except ValueError:
         return None
     return value if math.isfinite(value) else None

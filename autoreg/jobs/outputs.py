@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+import shutil
+import tempfile
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 
 import cv2
@@ -30,6 +34,10 @@ def write_whole(path: Path, content: bytes) -> Path:
     try:
         part.write_bytes(content)
         os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        # A full disk does not say by itself what it has no place for.
+        raise OSError(error.errno, error.strerror, str(path)) from error
     except BaseException:
         part.unlink(missing_ok=True)
         raise
@@ -63,10 +71,13 @@ def usable_folder(folder: Path) -> Path:
     return folder
 
 
+# What was written so much later than its run's report was written by somebody else.
+AT_ONCE_S = 2.0
+REPORT_NAME, SCENE_NAME = "alignment.json", "scene.pov"
 # The pictures and texts of one run; a later run into the same folder must not mix with them.
 RESULT_NAMES = (
     "overlay.png",
-    "scene.pov",
+    SCENE_NAME,
     "scene-photo.png",
     "scene-undistorted.png",
     "render.png",
@@ -78,7 +89,7 @@ def results_in(folder: Path) -> list[Path]:
     """All that a run writes into a folder, or takes away from it."""
     # Meshes and pictures of a scene's objects are named after them.
     objects = [*folder.glob("scene-thing_*.inc"), *folder.glob("scene-thing_*.png")]
-    return [folder / "alignment.json", *(folder / name for name in RESULT_NAMES), *objects]
+    return [folder / REPORT_NAME, *(folder / name for name in RESULT_NAMES), *objects]
 
 
 def kept_apart(inputs: Iterable[Path | None], outputs: Iterable[Path]) -> None:
@@ -109,6 +120,31 @@ def places_free(outputs: Iterable[Path]) -> None:
             )
 
 
+@contextmanager
+def whole_run(folder: Path, note: Callable[[str], None]) -> Generator[Path]:
+    """A hidden folder for a run's results, which take their places in `folder` when all of them are there.
+
+    Only then do an earlier run's give way, and they stay if anything fails; `note` is told what is kept.
+    """
+    fresh = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    hidden = Path(tempfile.mkdtemp(prefix=".run-", dir=folder))
+    try:
+        yield hidden
+        keep_edited(folder, note)
+        clear_results(folder)
+        # The report says that all that it stands beside is there.
+        for path in sorted(hidden.iterdir(), key=lambda path: path.name == REPORT_NAME):
+            os.replace(path, folder / path.name)
+    except BaseException:
+        shutil.rmtree(hidden, ignore_errors=True)
+        if fresh:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+    hidden.rmdir()
+
+
 def clear_results(folder: Path) -> None:
     """Take away an earlier run's results, so that a folder never shows two runs at once.
 
@@ -119,3 +155,19 @@ def clear_results(folder: Path) -> None:
         for path in others:
             path.unlink(missing_ok=True)
         report.unlink()
+
+
+def keep_edited(folder: Path, note: Callable[[str], None]) -> None:
+    """Give a scene.pov that was changed after its run another name, and say so: the next would write over it.
+
+    A run writes its report last.
+    """
+    scene, report = folder / SCENE_NAME, folder / REPORT_NAME
+    if not (scene.is_file() and report.is_file()):
+        return
+    if scene.stat().st_mtime < report.stat().st_mtime + AT_ONCE_S:
+        return
+    names = (f"scene-edited-{number}.pov" for number in count(1))
+    free = next(folder / name for name in names if not (folder / name).exists())
+    os.replace(scene, free)
+    note(f"{scene} was changed after it had been written; it is kept as {free.name}")

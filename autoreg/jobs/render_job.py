@@ -18,6 +18,7 @@ from autoreg.image import Photo, load_photo
 from autoreg.jobs.alignment_file import SavedAlignment, aligned_photo, read_alignment, with_photo
 from autoreg.jobs.outputs import (
     as_paths,
+    keep_edited,
     kept_apart,
     places_free,
     results_in,
@@ -210,6 +211,7 @@ def run_render(
         saved = with_photo(saved, path, photo.sha256)
     plan = make_plan(job.wish, scene, saved.alignment, colour, path)
     folder.mkdir(parents=True, exist_ok=True)
+    keep_edited(folder, note)
     try:
         made, written = render_into(folder, plan, colour, job.wish, job.engine, tell, progress, note)
     except RenderError as error:

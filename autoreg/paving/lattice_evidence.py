@@ -89,7 +89,7 @@ def presented(
     Where a convex part of the ground is given, in the fit's frame, the sides `within` it alone.
     """
     presence = presence or presence_of(picture, fit, field=within)
-    if len(presence.p) < 6 or broken(presence, ALONG_X) or broken(presence, ALONG_Y):
+    if len(presence.p) < 6 or _breaks_off(presence.nearest(0.5)):
         return None
     paving = Paving(fit, presence, line_evidence(presence, fit.grid), within=within)
     if not NOTHING_NATS < paving.margin_nats < PLAIN_NATS:
@@ -100,9 +100,16 @@ def presented(
     better = max(paving, thorough, key=lambda p: p.margin_nats)
     price = 0.5 * GROUND_COST
     closer = looked_at_closer(picture, fit, better.presence, CLOSE if better is thorough else USUAL)
+    if _breaks_off(closer, few=True):
+        return None
     x, y = _evidence_of(closer, fit.grid)
     alone = replace(better, evidence_nats=(x - price, y - price), closer=closer)
     return max(better, alone, key=lambda p: p.margin_nats)
+
+
+def _breaks_off(presence: Presence, *, few: bool = False) -> bool:
+    """Whether the joints of either family break off as those of no bond do."""
+    return broken(presence, ALONG_X, few=few) or broken(presence, ALONG_Y, few=few)
 
 
 def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:

@@ -150,20 +150,20 @@ def skipping(presence: Presence, family: int) -> bool:
     return bool(both < BESIDE_SHARE * expected and both < expected - BESIDE_SIGMAS * sigma)
 
 
-def broken(presence: Presence, family: int) -> bool:
+def broken(presence: Presence, family: int, *, few: bool = False) -> bool:
     """Whether the joints of a family break off at regular intervals, as those of herringbone do.
 
     The sides of one residue class, counted obliquely over the lattice, or of two, are then absent while all
     others are there; no stack or running bond of whole slabs looks like that. Whole lines that break off so
     are those of courses of two widths in turn, or of the edges of joints as wide as half of their slabs.
+    Of a `few` sides the absent class must stand out from the next even where that is plainly there.
     """
-    near = presence.nearest(0.5)
-    rows = np.flatnonzero(near.sides.family == family)
-    line, p = near.sides.line[rows], near.p[rows]
+    rows = np.flatnonzero(presence.sides.family == family)
+    line, p = presence.sides.line[rows], presence.p[rows]
     if len(rows) == 0:
         return False
     # Counted by place: the rows of a running bond count their sides from starts of their own.
-    ends = near.sides.ends[rows][:, :, 0 if family == ALONG_X else 1]
+    ends = presence.sides.ends[rows][:, :, 0 if family == ALONG_X else 1]
     cell = np.floor(ends.mean(1) / np.median(np.ptp(ends, axis=1)) + 1e-6).astype(int)
     for m, most, sigmas in BREAKS:
         for q in range(m):
@@ -178,7 +178,8 @@ def broken(presence: Presence, family: int) -> bool:
                 there, gone = order[-absent - 1], order[-absent]
                 beyond = sigmas * scatter * np.sqrt(1 / count[gone] + 1 / count[there])
                 apart = mean[gone] - mean[there]
-                clear = mean[gone] > BROKEN_P and (mean[there] < PRESENT_P or apart > beyond)
+                present = mean[there] < PRESENT_P and not few
+                clear = mean[gone] > BROKEN_P and (present or apart > beyond)
                 if clear and (q > 0 or _whole_lines(line, p, m, int(gone))):
                     return True
     return False
