@@ -11,6 +11,8 @@ from autoreg.camera import Camera
 from autoreg.errors import InputError
 from autoreg.formats.camera_formats import FORMATS, parse_camera
 
+# Focal lengths that lenses have, in longer sides of the picture.
+_FOCAL_LENGTHS = (0.01, 1000.0)
 # A camera file of any of the formats is a few kilobytes; more is a picture or a log given by mistake.
 _MAX_BYTES = 4_000_000
 
@@ -24,13 +26,29 @@ def read_camera(path: str | Path) -> Camera:
     path = Path(path)
     text = _text_of(path)
     try:
-        return parse_camera(text)
+        return _possible(parse_camera(text))
     except InputError as error:
         raise InputError(f"camera file {path}: {error}") from error
     except ValueError as error:  # a number that Camera does not accept, named by Camera
         raise InputError(f"camera file {path}: {error}; correct it in the file") from error
     except RecursionError as error:
         raise InputError(f"camera file {path}: nested too deeply; give one of {FORMATS}") from error
+
+
+def _possible(camera: Camera) -> Camera:
+    """The camera, if some lens may have its focal length.
+
+    Raises:
+        InputError: none has.
+    """
+    longer = max(camera.width, camera.height)
+    for name, focal in (("fx", camera.fx), ("fy", camera.fy)):
+        if not _FOCAL_LENGTHS[0] <= focal / longer <= _FOCAL_LENGTHS[1]:
+            raise InputError(
+                f"{name} must be between {_FOCAL_LENGTHS[0]:g} and {_FOCAL_LENGTHS[1]:g} times the longer "
+                f"side of the picture ({longer} pixels), got {focal:.6g} pixels; correct it"
+            )
+    return camera
 
 
 def read_camera_record(path: str | Path) -> Mapping[str, object]:

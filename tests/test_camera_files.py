@@ -315,7 +315,17 @@ def test_a_key_of_the_own_format_that_holds_no_number_is_named(given_text, key, 
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("width", 0), ("height", 12.5), ("fx", -3), ("fy", 0), ("dist", [1, 2, 3])]
+    ("key", "value"),
+    [
+        ("width", 0),
+        ("height", 12.5),
+        ("fx", -3),
+        ("fy", 0),
+        ("dist", [1, 2, 3]),
+        ("fx", 1e300),
+        ("fy", 1e-300),
+        ("fy", 1e9),
+    ],
 )
 def test_a_number_that_makes_no_sense_is_named(given_text, key, value):
     with pytest.raises(InputError, match=key):

@@ -343,6 +343,14 @@ def test_an_edited_scene_is_kept_under_another_name(photo, aligned):
     assert "kept" not in run("align", photo, "-o", "out").stderr
 
 
+@pytest.mark.parametrize(("cx", "said"), [(-5000.0, True), (0.1 * CAMERA.width, False)])
+def test_a_camera_whose_axis_passes_beside_the_photo_is_wondered_at(photo, aligned, cx, said):
+    fields = {name: getattr(CAMERA, name) for name in ("width", "height", "fx", "fy", "cy")}
+    Path("camera.json").write_text(json.dumps(fields | {"cx": cx, "dist": []}))
+    done = run("align", photo, "--camera", "camera.json", "-o", "out")
+    assert ("principal point, (-5000, " in done.stderr) == said
+
+
 def test_a_camera_height_in_centimetres_is_wondered_at(photo, monkeypatch):
     found = alignment(pose=replace(POSE, t=100.0 * POSE.t))
     monkeypatch.setattr(autoreg.align, "align_seen", lambda *_, **__: found)

@@ -232,10 +232,20 @@ def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:
         photo_turned=photo.turned,
         photo_mirrored=photo.mirrored,
     )
-    for said in (note, distrust(job.camera)):
+    for said in (note, distrust(job.camera), _far_aside(camera)):
         if said:
             listener.note(said)
     return camera
+
+
+def _far_aside(camera: Camera) -> str | None:
+    """What to say of a camera whose axis passes beside the photo, as that of a cut one's may."""
+    if -1 < camera.cx < camera.width and -1 < camera.cy < camera.height:
+        return None
+    return (
+        f"the camera's principal point, ({camera.cx:.6g}, {camera.cy:.6g}), lies outside the photo: unless "
+        "that was cut off-centre, the camera file is wrong"
+    )
 
 
 def _unusual_height(job: Job, alignment: Alignment) -> str | None:
