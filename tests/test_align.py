@@ -245,7 +245,7 @@ def test_real_pictures_of_other_things_are_refused(name: str):
 
 def test_a_blank_photo_is_refused_by_name():
     camera = Camera.from_focal(320, 240, 300.0)
-    with pytest.raises(Refusal):
+    with pytest.raises(Refusal, match=r"within 0\.0 of 255 grey levels"):
         autoreg.align(np.full((240, 320), 128, np.uint8), camera, slab=(0.4, 0.4))
 
 

@@ -20,8 +20,24 @@ FEW_SIDES = 16
 FRONTAL_SIGMAS = 1.5
 FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(LEVEL_RAD))
 
+# A picture that spans fewer grey levels, but for a hundredth of it at either end, shows nothing. Joints of a
+# contrast of five levels are found.
+LEAST_LEVELS = 3.0
 # Edges of which more than this share runs in one direction are of no joints in two.
 ONE_WAY = 0.9
+
+
+def without_contrast(levels: float) -> Refusal | None:
+    """The refusal of a picture whose grey levels are as good as one; None if they are more."""
+    if levels >= LEAST_LEVELS:
+        return None
+    return Refusal(
+        "no_lattice",
+        f"nearly the whole picture lies within {levels:.1f} of 255 grey levels, so that no joint can show; "
+        "give the photo as the camera took it, or one that is exposed longer",
+        measured=round(levels, 1),
+        limit=LEAST_LEVELS,
+    )
 
 
 def no_lattice(best: Paving | None, rows: Rows | None, one_way: float = 0.0) -> Refusal:

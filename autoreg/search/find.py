@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from autoreg.answer.refusals import ambiguous, no_lattice
+from autoreg.answer.refusals import ambiguous, no_lattice, without_contrast
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.directions import camera_rays, strongest_share
@@ -139,6 +139,9 @@ def _no_paving(
     fields: list[tuple[Rows, PlaneCombs]],
 ) -> Refusal:
     """The refusal of a photo in which neither a lattice nor rows do better than chance."""
+    plain = without_contrast(float(np.ptp(np.percentile(sight.looks.picture, (1.0, 99.0)))))
+    if plain is not None:
+        return plain
     one_way = 0.0
     if len(sight.segments) >= FEWEST_SEGMENTS:
         # How many edges run in one direction is about the same by any focal length.
