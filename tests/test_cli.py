@@ -432,8 +432,9 @@ def test_a_real_interrupt_ends_the_process_with_130(tmp_path, name, stuck):
     cv2.imwrite(str(tmp_path / "photo.png"), rng.integers(0, 255, (900, 1200)).astype(np.uint8))
     code = (
         "import signal, sys, time, autoreg.jobs.job\n"
-        # A shell's background jobs ignore it from the start.
+        # A shell's background jobs ignore the first from the start, those of nohup the second.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
         "autoreg.jobs.job._warm_up = lambda ended: None\n"
         "autoreg.jobs.job.load_photo = lambda path: (print('begun', flush=True), time.sleep(60))\n"
         "import autoreg.command.cli, threading\n"
@@ -444,18 +445,21 @@ def test_a_real_interrupt_ends_the_process_with_130(tmp_path, name, stuck):
         "sys.argv = ['autoreg', 'align', 'photo.png']\n"
         "main()\n"
     )
-    process = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-c", code],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONPATH": str(Path(job.__file__).parents[2])},
-    )
-    assert process.stdout.readline() == "begun\n"
-    time.sleep(0.1)
-    process.send_signal(getattr(signal, name))
-    _, said = process.communicate(timeout=30)
+    ) as process:
+        try:
+            assert process.stdout.readline() == "begun\n"
+            time.sleep(0.1)
+            process.send_signal(getattr(signal, name))
+            _, said = process.communicate(timeout=30)
+        finally:
+            process.kill()
     assert process.returncode == 130
     assert "Traceback" not in said
     assert [p.name for p in tmp_path.iterdir()] == ["photo.png"]
