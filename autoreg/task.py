@@ -135,10 +135,11 @@ def _check_camera(camera: object, width: int, height: int) -> None:
 def _lengths(value: object, shape: tuple[int, ...]) -> bool:
     """Whether a caller's lengths are what their type says, and such as something on earth may have."""
     try:
-        metres = np.asarray(value)
-    except ValueError:
+        metres = np.asarray(value, float)
+    except (TypeError, ValueError):
         return False
-    if metres.dtype.kind not in "iuf":
+    # Texts and truth values would be taken for numbers.
+    if np.asarray(value).dtype.kind in "bSU":
         return False
     return metres.shape == shape and bool(((metres >= LENGTHS_M[0]) & (metres <= LENGTHS_M[1])).all())
 

@@ -352,7 +352,7 @@ def test_a_camera_whose_axis_passes_beside_the_photo_is_wondered_at(photo, align
 
 
 def test_a_camera_height_in_centimetres_is_wondered_at(photo, monkeypatch):
-    found = alignment(pose=replace(POSE, t=100.0 * POSE.t))
+    found = replace(alignment(pose=replace(POSE, t=100.0 * POSE.t)), scale_source="camera_height")
     monkeypatch.setattr(autoreg.align, "align_seen", lambda *_, **__: found)
     done = run("align", photo, "--camera-height", "165", "-o", "out")
     assert "--camera-height is in metres, so check it" in done.stderr

@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from autoreg.jobs.job import Job
 
 INTERRUPTED = 130
-# What an interrupted command gives its threads to end what they import or compile.
+# What an interrupted command gives each of its threads to end what they import or compile.
 PATIENCE_S = 8.0
 
 app = typer.Typer(
@@ -226,25 +225,22 @@ def main() -> None:
         try:
             app(prog_name="autoreg")
         except SystemExit as end:
-            if end.code == INTERRUPTED:
-                raise KeyboardInterrupt from None
-            raise
-        finally:
-            if not isinstance(sys.exception(), KeyboardInterrupt):
+            if end.code != INTERRUPTED:
                 _joined_threads()
+                raise
+            _leave_interrupted()
     except KeyboardInterrupt:
         _leave_interrupted()
 
 
-def _joined_threads(patience_s: float = threading.TIMEOUT_MAX) -> bool:
+def _joined_threads(patience_s: float | None = None) -> bool:
     """Wait for other threads: what they import or compile must not be broken off by the interpreter's end.
 
-    Whether all of them have ended by then.
+    For each as long as that; whether all of them have ended.
     """
-    until = time.monotonic() + patience_s
     others = [t for t in threading.enumerate() if t is not threading.current_thread() and not t.daemon]
     for thread in others:
-        thread.join(max(0.0, min(until - time.monotonic(), threading.TIMEOUT_MAX)))
+        thread.join(patience_s)
     return not any(thread.is_alive() for thread in others)
 
 

@@ -28,11 +28,10 @@ from autoreg.jobs.outputs import (
     usable_folder,
     whole_run,
     write_png,
-    write_whole,
 )
 from autoreg.jobs.overlay import overlay_picture
-from autoreg.jobs.render_job import Wish, make_plan, read_wish, render_into, write_scene
-from autoreg.jobs.report import Report, aligned_report, refused_report, render_report, report_text
+from autoreg.jobs.render_job import Wish, make_plan, read_wish, render_into, write_report, write_scene
+from autoreg.jobs.report import Report, aligned_report, refused_report, render_report
 from autoreg.rendering.objects import Scene
 from autoreg.rendering.render import EngineName
 
@@ -40,6 +39,13 @@ from autoreg.rendering.render import EngineName
 DEMO_NAME, DEMO_SLAB_M = "terrace", (0.5, 0.5)
 # Heights above the ground from which people and drones take photos, in metres.
 _USUAL_M = (0.1, 100.0)
+# ... and what is said of others, by what told the scale.
+_WONDERED = {
+    "slab": "slabs of this size put the camera {:.3g} metres above the ground; --slab is in metres, so check "
+    "it: 60 cm by 40 cm are 0.6x0.4",
+    "camera_height": "few photos are taken from {:.3g} metres above the ground; --camera-height is in "
+    "metres, so check it: 165 cm are 1.65",
+}
 
 
 @dataclass(frozen=True)
@@ -179,10 +185,10 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
         except Refusal as refusal:
             report = refused_report(job.photo, photo.width, photo.height, refusal, camera)
             with whole_run(job.folder, listener.note) as place:
-                _write_report(place, report)
+                write_report(place, report)
             return Outcome(report, None, refusal, None, (job.folder / REPORT_NAME,))
 
-        if unusual := _unusual_height(job, alignment):
+        if unusual := _unusual_height(alignment):
             listener.note(unusual)
         listener.doing("drawing")
         colour = decoded.result()
@@ -192,7 +198,7 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
         overlay = drawn.result()
         with whole_run(job.folder, listener.note) as place:
             staged = beside.submit(write_scene, place, plan)
-            made = [write_png(place / "overlay.png", overlay), *staged.result(), _write_report(place, report)]
+            made = [write_png(place / "overlay.png", overlay), *staged.result(), write_report(place, report)]
         written = [job.folder / path.name for path in made]
     if job.engine is None:
         return Outcome(report, alignment, None, None, tuple(written))
@@ -203,7 +209,7 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
     except RenderError as error:
         return Outcome(report, alignment, None, error, tuple(written))
     report = report | {"render": render_report(rendered)}
-    _write_report(job.folder, report)
+    write_report(job.folder, report)
     return Outcome(report, alignment, None, None, (*written, *pictures))
 
 
@@ -248,23 +254,8 @@ def _far_aside(camera: Camera) -> str | None:
     )
 
 
-def _unusual_height(job: Job, alignment: Alignment) -> str | None:
+def _unusual_height(alignment: Alignment) -> str | None:
     """What to say where the lengths that were given put the camera where few photos are taken from."""
     height = float(alignment.pose.cam_from_ground.origin_in_a[2])
-    if _USUAL_M[0] <= height <= _USUAL_M[1]:
-        return None
-    if job.camera_height is not None:
-        return (
-            f"few photos are taken from {height:.3g} metres above the ground; --camera-height is in metres, "
-            "so check it: 165 cm are 1.65"
-        )
-    if job.slab is not None:
-        return (
-            f"slabs of this size put the camera {height:.3g} metres above the ground; --slab is in metres, "
-            "so check it: 60 cm by 40 cm are 0.6x0.4"
-        )
-    return None
-
-
-def _write_report(folder: Path, report: Report) -> Path:
-    return write_whole(folder / REPORT_NAME, report_text(report).encode())
+    said = _WONDERED.get(alignment.scale_source)
+    return None if said is None or _USUAL_M[0] <= height <= _USUAL_M[1] else said.format(height)

@@ -17,6 +17,8 @@ from autoreg.formats.exif import read_exif
 from autoreg.image import Photo, load_photo
 from autoreg.jobs.alignment_file import SavedAlignment, aligned_photo, read_alignment, with_photo
 from autoreg.jobs.outputs import (
+    REPORT_NAME,
+    SCENE_NAME,
     as_paths,
     keep_edited,
     kept_apart,
@@ -137,7 +139,12 @@ def write_scene(folder: Path, plan: Plan) -> list[Path]:
         finally:
             part.unlink(missing_ok=True)
         written.append(folder / name)
-    return [*written, write_whole(folder / "scene.pov", files.text.encode())]
+    return [*written, write_whole(folder / SCENE_NAME, files.text.encode())]
+
+
+def write_report(folder: Path, report: Report) -> Path:
+    """The path of alignment.json, written whole."""
+    return write_whole(folder / REPORT_NAME, report_text(report).encode())
 
 
 def render_into(
@@ -237,7 +244,7 @@ def _finished(
     """The scene and the report beside the pictures."""
     report = saved.report | {"render": None if made is None else render_report(made)}
     written = [*write_scene(folder, plan), *written]
-    written.append(write_whole(folder / "alignment.json", report_text(report).encode()))
+    written.append(write_report(folder, report))
     return RenderOutcome(report, tuple(written), error)
 
 

@@ -17,8 +17,8 @@ BROKEN_P, PRESENT_P = 0.35, 0.15
 # that are none the less whole one does by 2.0 at most. Two of five are absent in pinwheels of large and small
 # squares whose sides are as two to one, by 8 and more.
 BREAKS = ((3, 1, 3.0), (4, 1, 3.0), (5, 2, 4.5))
-# Of a few sides in a small field each class must hold so many: herringbone's held 24 and more.
-LEAST_OF_FEW = 12
+# Each class must hold so many sides, and in a small field so many: herringbone's held 24 and more there.
+LEAST_OF_CLASS, LEAST_OF_FEW = 5, 12
 # A single line may be worn or covered as a whole: of lines, with so many sides, so many are asked for in
 # every class.
 FEWEST_SIDES, FEWEST_LINES = 4, 3
@@ -171,7 +171,7 @@ def broken(presence: Presence, family: int, *, few: bool = False) -> bool:
         for q in range(m):
             residue = (line - cell * q) % m
             count = np.bincount(residue, minlength=m)
-            if count.min() < (LEAST_OF_FEW if few else 5):
+            if count.min() < (LEAST_OF_FEW if few else LEAST_OF_CLASS):
                 continue
             mean = np.bincount(residue, weights=p, minlength=m) / count
             scatter = np.sqrt(((p - mean[residue]) ** 2).sum() / max(len(p) - m, 1))
