@@ -351,6 +351,23 @@ def test_a_camera_whose_axis_passes_beside_the_photo_is_wondered_at(photo, align
     assert ("principal point, (-5000, " in done.stderr) == said
 
 
+@pytest.mark.parametrize(
+    ("k1", "said"),
+    [
+        (5.0, "moves a corner of the photo outwards by "),
+        (-1.0, "folds back within the photo"),
+        (-0.25, None),
+        (0.1, None),
+    ],
+)
+def test_a_distortion_that_is_no_lens_is_wondered_at(photo, aligned, k1, said):
+    fields = {name: getattr(CAMERA, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    Path("camera.json").write_text(json.dumps(fields | {"dist": [k1, 0.0, 0.0, 0.0]}))
+    done = run("align", photo, "--camera", "camera.json", "-o", "out")
+    assert ("distortion" in done.stderr) == (said is not None)
+    assert said is None or said in done.stderr
+
+
 def test_a_camera_height_in_centimetres_is_wondered_at(photo, monkeypatch):
     found = replace(alignment(pose=replace(POSE, t=100.0 * POSE.t)), scale_source="camera_height")
     monkeypatch.setattr(autoreg.align, "align_seen", lambda *_, **__: found)

@@ -14,11 +14,9 @@ from types import NoneType
 from typing import Any, get_args
 
 from autoreg.alignment import Alignment
-from autoreg.camera import Camera, fit_to_photo
-from autoreg.camera_files import distrust, read_camera
 from autoreg.errors import InputError, Refusal, RenderError
 from autoreg.ground.sight import see
-from autoreg.image import Photo, load_photo
+from autoreg.image import load_photo
 from autoreg.jobs.outputs import (
     REPORT_NAME,
     as_paths,
@@ -32,6 +30,7 @@ from autoreg.jobs.outputs import (
 from autoreg.jobs.overlay import overlay_picture
 from autoreg.jobs.render_job import Wish, make_plan, read_wish, render_into, write_report, write_scene
 from autoreg.jobs.report import Report, aligned_report, refused_report, render_report
+from autoreg.jobs.told_camera import told_camera
 from autoreg.rendering.objects import Scene
 from autoreg.rendering.render import EngineName
 
@@ -166,7 +165,7 @@ def _are_numbers(values: object, count: int, kind: type) -> bool:
 def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
     listener.doing("reading the photo")
     photo = load_photo(job.photo)
-    camera = _camera_for(job, photo, listener)
+    camera = None if job.camera is None else told_camera(job.camera, job.crop, photo, listener.note)
     listener.doing("aligning")
     with ThreadPoolExecutor(1) as beside:
         # Decoded and looked at while jax is imported and the solver fetched.
@@ -224,34 +223,6 @@ def _warm_up(ended: threading.Event) -> None:
     solver = import_module("autoreg.solve.solver")
     if not ended.is_set():
         solver.warm_up(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "autoreg")
-
-
-def _camera_for(job: Job, photo: Photo, listener: Listener) -> Camera | None:
-    """The camera from the job's file, made to fit the photo."""
-    if job.camera is None:
-        return None
-    camera, note = fit_to_photo(
-        read_camera(job.camera),
-        photo.width,
-        photo.height,
-        crop=job.crop,
-        photo_turned=photo.turned,
-        photo_mirrored=photo.mirrored,
-    )
-    for said in (note, distrust(job.camera), _far_aside(camera)):
-        if said:
-            listener.note(said)
-    return camera
-
-
-def _far_aside(camera: Camera) -> str | None:
-    """What to say of a camera whose axis passes beside the photo, as that of a cut one's may."""
-    if -1 < camera.cx < camera.width and -1 < camera.cy < camera.height:
-        return None
-    return (
-        f"the camera's principal point, ({camera.cx:.6g}, {camera.cy:.6g}), lies outside the photo: unless "
-        "that was cut off-centre, the camera file is wrong"
-    )
 
 
 def _unusual_height(alignment: Alignment) -> str | None:
