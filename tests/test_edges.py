@@ -12,6 +12,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.stations import Stations
 from autoreg.joints.edges import fit_offsets, search_offsets, strip_misfits, strip_support
 from autoreg.joints.profiles import STEP_PX, Profiles, sample_profiles
+from autoreg.joints.strips import bell, edge
 from autoreg.joints.widths import fit_widths
 from autoreg.synthetic import look_at_ground
 
@@ -70,6 +71,15 @@ def test_the_centre_of_a_strip_is_found_exactly(
     assert found.offset_px[0] == pytest.approx(offset, abs=0.03)
     assert found.step[0] == pytest.approx(step, abs=3.0)
     assert found.strength[0] > 0.97
+
+
+def test_a_blurred_edge_is_the_normal_distribution_at_any_distance_and_never_falls():
+    x = np.linspace(-9.0, 9.0, 20_001, dtype=np.float32)
+    assert np.abs(edge(x) - ndtr(x.astype(float))).max() < 2e-6
+    assert (np.diff(edge(x)) >= 0).all()
+    assert edge(np.array([-3e3, -40.0, 40.0, 3e3], np.float32)).tolist() == [0.0, 0.0, 1.0, 1.0]
+    slope = np.gradient(edge(x).astype(float), x.astype(float))
+    assert bell(x) / np.sqrt(2 * np.pi) == pytest.approx(slope, abs=2e-4)
 
 
 @pytest.mark.parametrize("guess", [0.7, 1.4])

@@ -139,9 +139,9 @@ def _drawn(
     width, level, height, tone = parts
     at = single(side.away_px / side.blur_px)[:, None, :] - single(places_px / side.blur_px)[..., None]
     edges = single(0.5 * width * side.px_per_unit / side.blur_px)[:, None, None]
-    near, far = edge(at + edges)[0], edge(at - edges)[0]
+    near, far = edge(at + edges), edge(at - edges)
     lit = single(np.clip(level + height * side.slope, 0.0, 1.0))[:, None, None]
-    light = edge(at - (1 - 2 * lit) * edges)[0] - far if level or height else np.zeros_like(far)
+    light = edge(at - (1 - 2 * lit) * edges) - far if level or height else np.zeros_like(far)
     shared = np.float32(0.5 * tone) * light
     left = single(side.tones - 1.0)[:, None, :] - np.float32(tone - 1.0) * light
     return (1 - near + shared, far + shared, near - far - light), left

@@ -69,7 +69,7 @@ def _strips(
     sign is that of a light one.
     """
     s = (np.arange(samples) - samples // 2) * STEP_PX - _candidates(halves)[:, None]
-    near, far = (edge(single((s + side * 0.5 * width) / blur))[0].astype(float) for side in (1.0, -1.0))
+    near, far = (edge(single((s + side * 0.5 * width) / blur)).astype(float) for side in (1.0, -1.0))
     step, strip = near + far, near - far
     for column in (step, strip):
         column -= column.mean(1, keepdims=True)

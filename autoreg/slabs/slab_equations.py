@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve_banded, cholesky_banded, lu_factor, lu_solve
 from scipy.sparse import hstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
@@ -57,12 +57,47 @@ class Sizes(NamedTuple):
     together: float
 
 
-class _Normal(NamedTuple):
-    """Restricted log likelihood, solution and the motion's covariance, for each size of the relief."""
+class _Reduced(NamedTuple):
+    """The normal equations of the motion and all effects, with all but the relief's eliminated.
 
-    value: Float[np.ndarray, " r"]
-    x: Float[np.ndarray, "r k"]
-    covariance: Float[np.ndarray, "r p p"]
+    What is left of the relief's own equations, I + r^2 S for a size r, is turned to the axes of S, so that it
+    is solved for every size at once.
+
+    Attributes:
+        by_relief: what a unit of each relief effect, of size one, takes from the other unknowns.
+        alone: the other unknowns' solution without relief, with the sign changed.
+        spread: the motion's columns of the inverse of their normal matrix.
+        squares: eigenvalues of S.
+        axes: its eigenvectors.
+        pull: what the residuals ask of the relief along these axes, for size one.
+        expected: the relief's prior mean along these axes.
+        left: the sum of squares without relief.
+        logdet: logarithm of the determinant of the covariance and of the other unknowns' normal matrix.
+    """
+
+    by_relief: Float[np.ndarray, "f l"]
+    alone: Float[np.ndarray, " f"]
+    spread: Float[np.ndarray, "f p"]
+    squares: Float[np.ndarray, " l"]
+    axes: Float[np.ndarray, "l l"]
+    pull: Float[np.ndarray, " l"]
+    expected: Float[np.ndarray, " l"]
+    left: float
+    logdet: float
+
+    def shrunk(self, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, "r l"]:
+        """What the priors leave of each axis, for each size of the relief."""
+        return 1.0 / (1.0 + reliefs[:, None] ** 2 * self.squares)
+
+    def asked(self, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, "r l"]:
+        """What is asked of each axis, for each size of the relief."""
+        return reliefs[:, None] * self.pull + self.expected
+
+    def value(self, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
+        """Restricted log likelihood for each size of the relief."""
+        shrunk = self.shrunk(reliefs)
+        left = self.left - (shrunk * self.asked(reliefs) ** 2).sum(1)
+        return -0.5 * (left + self.logdet - np.log(shrunk).sum(1))
 
 
 class SlabEquations:
@@ -116,6 +151,9 @@ class SlabEquations:
         # Which of these columns are scaled by the sizes of the relief, of what is common and of the courses.
         counts = [relief.shape[1], common.shape[1], course.shape[1], sum(each.shape[1] for each in others)]
         self.relief, self.common, self.course = (np.repeat(of, counts) for of in np.eye(4, dtype=bool)[:3])
+        # Which unknowns are eliminated first, the motion's before all, and which are the relief's.
+        of_relief = np.r_[np.zeros(len(free), dtype=bool), self.relief]
+        self.first, self.last = np.flatnonzero(~of_relief), np.flatnonzero(of_relief)
         self.columns = np.c_[J * self.unit, relief, common, course, *others, joints.off_px]
         self.course_squares = (course**2).sum(1)
         self.begin_anew()
@@ -218,53 +256,62 @@ class SlabEquations:
         """The normal matrix of the motion and all effects, for columns of such sizes."""
         return self.gram[:-1, :-1] * size * size[:, None] + np.diag(self._prior()[0])
 
-    def _normal(self, reliefs: Float[np.ndarray, " r"]) -> _Normal:
-        """Solution of the normal equations of the motion and all effects, for each size of the relief.
-
-        All but the relief is eliminated once: what is left of its own equations is I + r^2 S for a size r,
-        and the eigenvectors of S serve every one.
-        """
-        p = len(self.free)
+    def _reduced(self) -> _Reduced:
+        """The normal equations for the sizes that were factorised last."""
+        p, last = len(self.free), self.last
         known, mean = self._prior()
         size = self._sized(1.0)
-        H = self._matrix(size)
+        H = self.gram[:-1, :-1] * size * size[:, None]
+        H[np.diag_indices(len(H))] += known
         g = self.gram[:-1, -1] * size - known * mean
-        last = np.r_[np.zeros(p, dtype=bool), self.relief]
-        first = ~last
-        across, own = H[np.ix_(first, last)], H[np.ix_(last, last)] - np.eye(int(last.sum()))
-        unit = np.eye(int(first.sum()))[:, :p]
-        solved = np.linalg.solve(H[np.ix_(first, first)], np.column_stack([across, g[first], unit]))
-        by_relief, alone, spread = solved[:, : across.shape[1]], solved[:, across.shape[1]], solved[:, -p:]
-        squares, axes = np.linalg.eigh(own - across.T @ by_relief)
-        shrunk = 1.0 / (1.0 + reliefs[:, None] ** 2 * np.maximum(squares, 0.0))
-        x = np.empty((len(reliefs), len(g)))
-        asked = reliefs[:, None] * ((across.T @ alone - g[last]) @ axes) + self.expected @ axes
-        shifts = (shrunk * asked) @ axes.T
-        x[:, last] = shifts
-        x[:, first] = -alone - reliefs[:, None] * (shifts @ by_relief.T)
-        along = by_relief[:p] @ axes
-        covariance = spread[:p] + reliefs[:, None, None] ** 2 * (along * shrunk[:, None]) @ along.T
-        sizes = np.where(last, reliefs[:, None], 1.0)
-        pulls = g * sizes
-        pulls[:, last] -= self.expected
-        left = self.gram[-1, -1] + (pulls * x).sum(1) + float(known @ mean**2 + self.expected @ self.expected)
-        logdet = np.linalg.slogdet(H[np.ix_(first, first)])[1] - np.log(shrunk).sum(1)
-        return _Normal(-0.5 * (left + self.logdet + logdet), x * size * sizes, covariance)
+        rest = H[self.first]
+        across, right = rest[:, last], np.zeros((len(rest), len(last) + 1 + p))
+        right[:, : len(last)], right[:, len(last)] = across, g[self.first]
+        right[:p, len(last) + 1 :] = np.eye(p)
+        factors = lu_factor(rest[:, self.first], overwrite_a=True, check_finite=False)
+        solved = lu_solve(factors, right, overwrite_b=True, check_finite=False)
+        by_relief, alone, spread = solved[:, : len(last)], solved[:, len(last)], solved[:, len(last) + 1 :]
+        own = H[last][:, last] - across.T @ by_relief
+        own[np.diag_indices(len(own))] -= 1.0
+        squares, axes = np.linalg.eigh(own)
+        left = self.gram[-1, -1] + known @ mean**2 + self.expected @ self.expected - g[self.first] @ alone
+        return _Reduced(
+            by_relief,
+            alone,
+            spread,
+            np.maximum(squares, 0.0),
+            axes,
+            (across.T @ alone - g[last]) @ axes,
+            self.expected @ axes,
+            float(left),
+            self.logdet + float(np.log(np.abs(np.diag(factors[0]))).sum()),
+        )
+
+    def _unknowns(self, reduced: _Reduced, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, "r k"]:
+        """The motion and all effects, scaled as the columns are, for each size of the relief."""
+        x = np.empty((len(reliefs), len(self.first) + len(self.last)))
+        shifts = (reduced.shrunk(reliefs) * reduced.asked(reliefs)) @ reduced.axes.T
+        x[:, self.last] = reliefs[:, None] * shifts
+        x[:, self.first] = -reduced.alone - x[:, self.last] @ reduced.by_relief.T
+        return x * self._sized(1.0)
 
     def solve(self) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r p"], Float[np.ndarray, "r p p"]]:
         """Restricted log likelihood, scaled motion and its covariance, for each size of the relief."""
-        normal = self._normal(np.array(RELIEFS))
-        return normal.value, normal.x[:, : len(self.free)], normal.covariance
+        reliefs, p, reduced = np.array(RELIEFS), len(self.free), self._reduced()
+        along = reduced.by_relief[:p] @ reduced.axes
+        shrunk = reduced.shrunk(reliefs)[:, None]
+        covariance = reduced.spread[:p] + reliefs[:, None, None] ** 2 * (along * shrunk) @ along.T
+        return reduced.value(reliefs), self._unknowns(reduced, reliefs)[:, :p], covariance
 
     def evidence(self, sizes: Sizes) -> dict[float, float]:
         """Restricted log likelihood for each size of the relief."""
         self.factor(sizes)
-        return dict(zip(RELIEFS, self._normal(np.array(RELIEFS)).value.tolist(), strict=True))
+        return dict(zip(RELIEFS, self._reduced().value(np.array(RELIEFS)).tolist(), strict=True))
 
     def reweigh(self, sizes: Sizes, relief: float) -> None:
         """Cauchy weights from what is left of each station's residual when the slabs have had their share."""
         self.factor(sizes)
-        x = self._normal(np.array([relief])).x[0]
+        x = self._unknowns(self._reduced(), np.array([relief]))[0]
         left = self.columns @ np.r_[x, 1.0]
         own = self.D * self._whitened(left[:, None])[:, 0]
         # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
