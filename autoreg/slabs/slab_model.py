@@ -111,6 +111,14 @@ class _Likely(NamedTuple):
     covariance: Float[np.ndarray, "k t r p p"]
 
 
+class _Looked(NamedTuple):
+    """Log likelihood of some sizes with the likeliest relief, that relief, and the sizes."""
+
+    value: float
+    relief: float
+    sizes: Sizes
+
+
 def estimate_motion(
     fit: Fit,
     mask: Float[np.ndarray, " p"],
@@ -243,20 +251,30 @@ def _likeliest_sizes(model: SlabEquations, near: Scatter | None) -> tuple[Sizes,
         best, relief, searches = _sizes_of(near, model.joints.fit.grid.slab_side), near.relief, NEAR_SEARCHES
     model.reweigh(best, relief)
     for search in searches:
-        score, relief = _best_relief(model, best)
+        found = _looked_at(model, best)
         for axis, options in enumerate(search):
-            centre = best
-            for option in options:
-                field = Sizes._fields[axis]
-                tried = centre._replace(**{field: option if axis else option * centre.place})
-                likelihood, likeliest = _best_relief(model, tried)
-                if likelihood > score:
-                    score, relief, best = likelihood, likeliest, tried
+            found = _climbed(model, found, axis, options)
+        _, relief, best = found
         model.reweigh(best, relief)
     return best, relief
 
 
-def _best_relief(model: SlabEquations, sizes: Sizes) -> tuple[float, float]:
+def _climbed(model: SlabEquations, found: _Looked, axis: int, options: tuple[float, ...]) -> _Looked:
+    """The likeliest by one of the sizes: from where it stands downwards and upwards as long as that helps."""
+    start = found.sizes
+    # Places are given as factors.
+    now, unit = (start[axis], 1.0) if axis else (1.0, start.place)
+    below, above = [o for o in options if o < now], [o for o in options if o > now]
+    for way in (sorted(below, reverse=True), above):
+        for option in way:
+            looked = _looked_at(model, start._replace(**{Sizes._fields[axis]: option * unit}))
+            if looked.value <= found.value:
+                break
+            found = looked
+    return found
+
+
+def _looked_at(model: SlabEquations, sizes: Sizes) -> _Looked:
     """The highest log likelihood of the sizes, whatever the relief is, and the relief that has it."""
     value, relief = max((value, relief) for relief, value in model.evidence(sizes).items())
-    return value + float(np.log(TIMES_TOGETHER[sizes.together])), relief
+    return _Looked(value + float(np.log(TIMES_TOGETHER[sizes.together])), relief, sizes)
