@@ -3,7 +3,7 @@
 What is plainest to see in a photo, mostly what is nearest, is found first. Where many edges beside it run
 square to each other as well, the field is painted over and the rest of the photo looked at as a photo of its
 own. What is found there by the same camera on the same ground is another field, and the answer if it is
-larger as far as the slabs of both can be seen, or if its slabs are those that were asked for.
+larger in the picture, or if its slabs are those that were asked for.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.points import inside_convex, lengths, on_ground, project_ground
-from autoreg.ground.sides import visible_sides
 from autoreg.ground.sight import Sight, see
 from autoreg.paving.lattice_evidence import Paving, alike, has_ratio, presented
 from autoreg.paving.lay import refine_in_field
-from autoreg.paving.side_support import LEAST_SIDE_PX, Effort, presence_of
+from autoreg.paving.side_support import Effort, presence_of
 from autoreg.search.find import find_on
 from autoreg.segments import Segments
 
@@ -72,18 +71,17 @@ def largest_field(
     other = None if part is None else _found_in(sight, camera, covered, part)
     if other is None or alike(found, other, ALIKE):
         return found
-    # It is plain to see, unless it is what was asked for.
-    if not other.plain and (suits or not _suits(other, slab)):
-        return found
     whole = _in_whole(sight, camera, other)
     if whole is None or not _same_ground(found.fit, whole.fit):
+        return found
+    # It is plain to see, in its part or in the whole, unless it is what was asked for.
+    if not (other.plain or whole.plain) and (suits or not _suits(whole, slab)):
         return found
     if _suits(whole, slab) != suits:
         return found if suits else whole
     assert whole.within is not None
     known = presence_of(sight.looks.picture, found.fit, WHOLE).field
-    seen = min(_sight_of(found.fit), _sight_of(whole.fit))
-    return whole if _area(whole.fit, whole.within, seen) > _area(found.fit, known, seen) else found
+    return whole if _area_px(whole.fit, whole.within) > _area_px(found.fit, known) else found
 
 
 def _suits(paving: Paving, slab: tuple[float, float] | None) -> bool:
@@ -214,22 +212,8 @@ def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
     return None if whole is None or whole.margin_nats <= 0 else whole
 
 
-def _sight_of(fit: Fit) -> float:
-    """How many camera heights away the picture still shows single slabs of a lattice."""
-    sides = visible_sides(
-        fit.camera, fit.cam_from_ground, fit.grid, reach=REACH, min_px=LEAST_SIDE_PX, limit=WHOLE.sides
-    )
-    foot = fit.cam_from_ground.origin_in_a
-    return float(lengths(sides.middle - foot[:2]).max(initial=0.0) / foot[2])
-
-
-def _area(fit: Fit, field: Float[np.ndarray, "k 2"], reach: float) -> float:
-    """The area of a field, in squares of the camera's height, up to so many heights from its foot.
-
-    Fine slabs are seen less far than coarse ones: beyond, nothing tells how far they go on.
-    """
-    foot = fit.cam_from_ground.origin_in_a
-    around = np.linspace(0.0, 2.0 * np.pi, OUTLINE_STEPS, endpoint=False)
-    near = reach * np.stack([np.cos(around), np.sin(around)], 1)
-    heights = (field - foot[:2]) / foot[2]
-    return float(cv2.intersectConvexConvex(heights.astype(np.float32), near.astype(np.float32))[0])
+def _area_px(fit: Fit, field: Float[np.ndarray, "k 2"]) -> int:
+    """How much of the picture a field fills: of two, a person takes that for the larger which does more."""
+    shown = np.zeros((fit.camera.height, fit.camera.width), np.uint8)
+    cv2.fillPoly(shown, [_Covered(fit.cam_from_ground, field).outline_px(fit.camera)], 1)
+    return cv2.countNonZero(shown)

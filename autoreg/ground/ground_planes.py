@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -28,12 +29,8 @@ STEEP_RAD = np.radians(42.0)
 FRONTAL_RAD, PLUMB_RAD = np.radians(25.0), np.radians(2.5)
 # Hands hold cameras level to so much.
 LEVEL_RAD = np.radians(6.0)
-# The longest so many segments find the candidates; all of them score the survivors.
-VOTERS = 350
 # So many of another direction than the strongest one take part in any case.
 OTHER_VOTERS = 150
-# Candidates looked at for repetitions, and candidates fitted; a longer list asked for finds no more.
-STARTED, FITTED = 192, 60
 # A plane seen more steeply than this may be a wall seen from the front as well.
 WALL_LIKE_RAD = np.radians(65.0)
 # What a candidate's support is worth by how far the camera would look down: less where it may be a wall.
@@ -47,6 +44,33 @@ LOG_FOCAL_PRIOR = (float(np.log(0.9)), 0.3)
 # focal length as one would alone; without it two nearly parallel families claim to know it.
 SHARED_ERRORS = 5.0
 FOCAL_GRID = np.exp(np.linspace(np.log(0.4), np.log(2.2), 9))
+
+
+class Effort(NamedTuple):
+    """How much is tried for candidates; a longer list asked for finds no more.
+
+    Attributes:
+        voters: the longest so many segments find the candidates; all of them score the survivors.
+        seeds: so many of the longest segments, and of those in the lower part, propose directions.
+        first: so many of these are first directions of candidates.
+        peaks: so many second directions are looked at with each of them.
+        started: candidates looked at for repetitions.
+        fitted: ... and fitted.
+    """
+
+    voters: int = 350
+    seeds: int = 80
+    first: int = 24
+    peaks: int = 5
+    started: int = 192
+    fitted: int = 60
+
+
+USUAL = Effort()
+# What finds joints that are few and short beside a crowd of others, as shadows of bars are.
+THOROUGH = Effort(voters=5000, seeds=120, first=60, peaks=10, started=400, fitted=150)
+# The focal length is looked for as well: most of the effort goes there.
+NO_FOCAL = Effort(peaks=3)
 
 
 @dataclass(frozen=True)
@@ -69,11 +93,11 @@ class GroundHypothesis:
 
 
 def ground_planes(
-    segments: Segments, camera: Camera, *, max_hypotheses: int = 12
+    segments: Segments, camera: Camera, *, max_hypotheses: int = 12, effort: Effort = USUAL
 ) -> tuple[GroundHypothesis, ...]:
     """Ranked candidates for the paved ground's two joint directions; empty where nothing supports any."""
     rays = camera_rays(segments, camera)
-    found = _search(rays, np.array([0.0]), None, max_hypotheses)
+    found = _search(rays, np.array([0.0]), None, max_hypotheses, effort)
     return tuple(_hypothesis(found, k) for k in range(len(found.score)))
 
 
@@ -84,7 +108,7 @@ def ground_planes_unknown_focal(
     nominal_px = float(max(width, height))
     centre = 0.5 * (np.array([width, height]) - 1.0)
     rays = segment_rays(segments, (segments.ends_px - centre) / nominal_px, nominal_px)
-    found = _search(rays, np.log(FOCAL_GRID), LOG_FOCAL_PRIOR, max_hypotheses)
+    found = _search(rays, np.log(FOCAL_GRID), LOG_FOCAL_PRIOR, max_hypotheses, NO_FOCAL)
     focal_px = nominal_px * np.exp(found.fit.log_focal)
     scale = float(np.sqrt(SHARED_ERRORS))
     return tuple((_hypothesis(found, k, scale), float(focal_px[k])) for k in range(len(found.score)))
@@ -122,21 +146,22 @@ def _search(
     log_focals: Float[np.ndarray, " g"],
     prior: tuple[float, float] | None,
     max_hypotheses: int,
+    effort: Effort,
 ) -> _Found:
     """Fitted frames, best first. The prior is the mean and spread of the logarithm of the focal length."""
-    voters = _voters(rays)
-    seeds = _seeds(voters) if len(voters) else np.zeros(0, int)
-    first = single_directions(voters, seeds, count=24, apart_rad=np.radians(2.0))
-    fit = frames_through(voters, first, log_focals, peaks=5 if prior is None else 3, may_vote=_lies_on_ground)
+    voters = _voters(rays, effort.voters)
+    seeds = _seeds(voters, effort.seeds) if len(voters) else np.zeros(0, int)
+    first = single_directions(voters, seeds, count=effort.first, apart_rad=np.radians(2.0))
+    fit = frames_through(voters, first, log_focals, peaks=effort.peaks, may_vote=_lies_on_ground)
     if prior is not None:
         fit = fit.joined(frames_of_pairs(first, (float(log_focals[0]), float(log_focals[-1]))))
     fit = FrameFit(_canonical(fit.R), fit.log_focal, fit.information)
     fit = fit.take(np.flatnonzero(_possible(fit.R)))
     member = _members(voters, fit)
     _, score = _score(voters, fit, member, prior)
-    order = _both_kinds(fit.R, np.argsort(-score, kind="stable"), STARTED)
+    order = _both_kinds(fit.R, np.argsort(-score, kind="stable"), effort.started)
     order = order[_distinct_frames(member[order], voters.weight, 0.95)]
-    fit = fit.take(_both_kinds(fit.R, order, FITTED))
+    fit = fit.take(_both_kinds(fit.R, order, effort.fitted))
     fit_prior = None if prior is None else (prior[0], prior[1] / np.sqrt(SHARED_ERRORS))
     for _ in range(5):
         allowed = _below_horizon(voters, fit)
@@ -152,13 +177,13 @@ def _search(
     return _Found(fit.take(order), support[order], score[order])
 
 
-def _voters(rays: SegmentRays) -> SegmentRays:
+def _voters(rays: SegmentRays, count: int) -> SegmentRays:
     """The longest segments, and the longest of those that the strongest direction does not explain.
 
     Unbroken joints are long and many; beside them the short cross joints would have no say.
     """
-    longest = np.arange(min(len(rays), VOTERS))
-    if len(rays) <= VOTERS:
+    longest = np.arange(min(len(rays), count))
+    if len(rays) <= count:
         return rays
     strongest = single_directions(rays.take(longest), longest[:40], count=1, apart_rad=np.radians(2.0))
     if not len(strongest):
@@ -167,7 +192,7 @@ def _voters(rays: SegmentRays) -> SegmentRays:
     return rays.take(np.union1d(longest, others))
 
 
-def _seeds(rays: SegmentRays, count: int = 80) -> np.ndarray:
+def _seeds(rays: SegmentRays, count: int) -> np.ndarray:
     """The longest segments of the picture and the longest of its lower part, where the ground is."""
     lower = np.flatnonzero(rays.middle[:, 1] > np.median(rays.middle[:, 1]))
     return np.unique(np.concatenate([np.arange(min(len(rays), count)), lower[:count]]))

@@ -11,6 +11,7 @@ from scipy.special import gammainc
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.ground.points import inside_box, on_ground
+from autoreg.ground.sides import ALONG_Y, Grid
 from autoreg.segments import Segments
 from autoreg.spread import spread
 
@@ -21,6 +22,8 @@ RIGHT_RAD, OBLIQUE_RAD = np.radians(4.0), np.radians(15.0)
 SHORTEST, LONGEST = 0.3, 1.4
 # Segments this close along a row, in its widths, are of one joint: they are its edges, or parts of them.
 ONE_JOINT = 0.15
+# ... and those within this share of a slab of a lattice's cross joint, or of its edges, are of it.
+BESIDE_JOINT = 0.03
 # Segments that lean by less tell how far the cross joints lean together.
 LEANING_RAD = np.radians(20.0)
 # Those that lean by less tell how their lean changes from row to row, as it does where they stand on arcs.
@@ -146,9 +149,13 @@ def off_square(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], wi
 def common_lean(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
     """The median lean of the field's cross joints; None where too few are seen.
 
-    The fit is at the photo's own resolution.
+    Of a lattice only what lies on its cross joints counts: the shadows of a railing's bars run across
+    anywhere. The fit is at the photo's own resolution.
     """
-    return _lean_of(off_square(segments, fit, field, LEANING_RAD))
+    seen = off_square(segments, fit, field, LEANING_RAD)
+    if fit.grid.spacing_x is not None:
+        seen = seen.take(_on_cross_joints(seen.middle, fit.grid, fit.strip.width[ALONG_Y]))
+    return _lean_of(seen)
 
 
 def change_of_lean(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> Lean | None:
@@ -181,6 +188,13 @@ def off_angle(ground: Float[np.ndarray, "n 2 2"]) -> Float[np.ndarray, " n"]:
     """Angle of each segment from the Y axis, between -pi/2 and pi/2, growing towards +X."""
     along = ground[:, 1] - ground[:, 0]
     return np.arctan(along[:, 0] / np.where(along[:, 1] == 0, 1e-300, along[:, 1]))
+
+
+def _on_cross_joints(place: Float[np.ndarray, "n 2"], grid: Grid, width: float) -> Bool[np.ndarray, " n"]:
+    """Which places lie on cross joints of a lattice, whose joints are so wide, or beside them by little."""
+    assert grid.spacing_x is not None
+    slab = place[:, 0] / grid.spacing_x - grid.shift * np.floor(place[:, 1] / grid.spacing_y)
+    return np.abs(slab - np.rint(slab)) < BESIDE_JOINT + 0.5 * width / grid.spacing_x
 
 
 def _in_field(

@@ -16,8 +16,8 @@ from autoreg.paving.lay import lay_lattice
 from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows
 from autoreg.search.glance import at_a_glance
-from autoreg.search.hypotheses import hypothesised
-from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, lay_planes
+from autoreg.search.hypotheses import hypothesised, hypothesised_thoroughly
+from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, lay_planes, lay_promising
 from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, fields_of_rows, rows_alone
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
@@ -59,6 +59,9 @@ def find_paving(
         first = at_a_glance(looks, segments, hypotheses, free)
         return () if first is None else (first,)
 
+    def lay(plane: PlaneCombs) -> tuple[Paving, ...]:
+        return suitable(lay_lattice(looks, plane, free))
+
     if camera is not None:
         coarse = sight.detection.coarse
         seen = fitting(glanced(coarse, *hypothesised(coarse, sight.size, camera, walls=walls)))
@@ -70,16 +73,17 @@ def find_paving(
     best = fitting(glance)
     if is_plain(best):
         return _unrivalled(best)
-    best, planes = lay_planes(
-        looks, segments, hypotheses, best,
-        lambda plane: suitable(lay_lattice(looks, plane, free)), free_focal=camera is None,
-    )  # fmt: skip
+    best, planes = lay_planes(looks, segments, hypotheses, best, lay, free_focal=camera is None)
     # By another focal length what is plain to see may have the slab's shape.
     if camera is None and not is_plain(best) and is_plain(glance):
         best = glance
     if best and best[0].margin_nats > 0:
         return _unrivalled(best)
-    others = suitable(by_other_focals(looks, planes, free)) if camera is None else ()
+    if camera is None:
+        others = suitable(by_other_focals(looks, planes, free))
+    else:
+        further = hypothesised_thoroughly(segments, camera, hypotheses, walls=walls)
+        others = lay_promising(looks, segments, further, lay)
     if is_plain(others):
         return _unrivalled(others)
     fields = fields_of_rows(looks, segments, sight.size, planes)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
+from jaxtyping import Float
+
 from autoreg.camera import Camera
-from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal, like_wall
+from autoreg.geometry import angle_between_rotations
+from autoreg.ground.ground_planes import THOROUGH, ground_planes, ground_planes_unknown_focal, like_wall
 from autoreg.paving.plane_combs import Hypothesis
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
 
 # Hypotheses that are taken from the segments, with a camera and without.
 HYPOTHESES, HYPOTHESES_NO_FOCAL = 8, 12
+# ... and with a camera, where those show nothing, together with these. Grounds nearer to each other than this
+# are one.
+THOROUGHLY, SAME_GROUND_RAD = 24, np.radians(1.0)
 # What is known of an uncalibrated camera's first radial distortion coefficient, which curved joints tell.
 RADIAL_SIGMA = 0.1
 
@@ -33,3 +40,24 @@ def hypothesised(
         guessed = ground_planes_unknown_focal(segments, *size, max_hypotheses=HYPOTHESES_NO_FOCAL)
         found = [(Camera.from_focal(*size, focal), h.R) for h, focal in guessed]
     return free, [(own, R) for own, R in found if walls or not like_wall(R)]
+
+
+def hypothesised_thoroughly(
+    segments: Segments, camera: Camera, before: list[Hypothesis], *, walls: bool = True
+) -> list[Hypothesis]:
+    """Further grounds, for photos in which a crowd of other edges hides the joints: shadows of bars, say.
+
+    Args:
+        segments: of the photo.
+        camera: its camera.
+        before: the grounds that have shown nothing.
+        walls: whether grounds that look like a wall seen from the front are among them.
+    """
+    found = ground_planes(segments, camera, max_hypotheses=THOROUGHLY, effort=THOROUGH)
+    new = [h.R for h in found if not any(_alike(h.R, R) for _, R in before)]
+    return [(camera, R) for R in new if walls or not like_wall(R)][: THOROUGHLY - len(before)]
+
+
+def _alike(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether two grounds have about the same joints."""
+    return angle_between_rotations(one, other) < SAME_GROUND_RAD

@@ -61,6 +61,22 @@ def lay_planes(
     return best, ranked
 
 
+def lay_promising(
+    looks: Looks,
+    segments: Segments,
+    hypotheses: list[Hypothesis],
+    lay: Callable[[PlaneCombs], tuple[Paving, ...]],
+) -> tuple[Paving, ...]:
+    """The best lattices on those of some further grounds whose joints are clear as they came, if any are."""
+    planes = planes_as_they_came(looks, hypotheses)
+    promising = [plane for plane in planes if plane.score > PROMISING_NATS][:MOST_PLANES]
+    best: tuple[Paving, ...] = ()
+    for plane in sharpened(looks, segments, promising, free_focal=False):
+        if not is_plain(best):
+            best = _better(best, lay(plane))
+    return best
+
+
 def _better(best: tuple[Paving, ...], others: tuple[Paving, ...]) -> tuple[Paving, ...]:
     """Those lattices of the two whose first explains the picture better."""
     return max(best, others, key=lambda pavings: pavings[0].margin_nats if pavings else -np.inf)
