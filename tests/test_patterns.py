@@ -96,6 +96,19 @@ def test_joints_that_break_off_as_those_of_herringbone_are_told_from_worn_ones(f
 
 
 @pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_cut_blocks_that_show_marks_where_joints_would_be_break_off_none_the_less(family: int):
+    rng = np.random.default_rng(7)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 20.0))
+    cuts = (sides.family == family) & ((sides.line - sides.cell) % 4 == 2)
+    marked = rng.uniform(size=len(sides)) < 0.45
+    p = np.where(cuts & ~marked, rng.uniform(size=len(sides)), 0.002)
+    assert 0.2 < p[cuts].mean() < 0.33
+    assert broken(presence_with(sides, p), family)
+    # As many that are anywhere are worn.
+    assert not broken(presence_with(sides, rng.permutation(p)), family)
+
+
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
 def test_whole_lines_that_break_off_in_turn_are_told_from_a_few_that_are_worn(family: int):
     rng = np.random.default_rng(13)
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 18.0))

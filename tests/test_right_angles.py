@@ -181,6 +181,38 @@ def test_cross_joints_lean_together_by_as_much_as_the_camera_is_wrong(factor: fl
     assert lean.sigma < 0.004
 
 
+def segments_along(ground: np.ndarray) -> Segments:
+    """Segments that the true camera sees along lines on the ground."""
+    px = project_ground(CAMERA, POSE, ground.reshape(-1, 2)).reshape(-1, 2, 2)
+    return Segments(px, np.full(len(px), 0.2), np.zeros(len(px), dtype=int))
+
+
+def leaning_lines(x: np.ndarray, y: np.ndarray, lean: float | np.ndarray) -> np.ndarray:
+    """Lines of half a row's width about some places, as cross joints that lean are."""
+    lean = np.broadcast_to(lean, x.shape)
+    away = 0.075 * np.stack([np.sin(lean), np.cos(lean)], -1)
+    middle = np.stack([x, y], -1)
+    return np.stack([middle - away, middle + away], 1)
+
+
+def test_what_crosses_a_lattice_between_its_joints_does_not_tell_how_they_lean():
+    # Courses 0.3 wide, slabs 0.5 long; the shadows of bars cross them everywhere.
+    fit = replace(fitted(ASLANT, 1.0), grid=Grid(0.5, 0.3), camera=CAMERA, cam_from_ground=POSE)
+    field = field_of(CAMERA, POSE)
+    rng = np.random.default_rng(5)
+    column, row = (k.ravel() for k in np.meshgrid(np.arange(-2, 3), np.arange(4, 9)))
+    joints = leaning_lines(0.5 * column, 0.3 * row + 0.15, 0.002 * rng.standard_normal(25))
+    bars = leaning_lines(rng.uniform(-1, 1, 80), 0.3 * rng.integers(4, 9, 80) + 0.15, np.radians(6.0))
+    lean = common_lean(segments_along(np.concatenate([joints, bars])), fit, field)
+    assert lean is not None
+    assert abs(lean.angle) < np.radians(0.5)
+    # As joints of the lattice they lean.
+    leaning = leaning_lines(0.5 * column, 0.3 * row + 0.15, np.radians(6.0))
+    lean = common_lean(segments_along(leaning), fit, field)
+    assert lean is not None
+    assert abs(lean.angle) == pytest.approx(np.radians(6.0), abs=np.radians(0.2))
+
+
 def test_too_few_cross_joints_tell_no_lean():
     fit = fitted(ASLANT, 1.0)
     field = field_of(fit.camera, fit.cam_from_ground)

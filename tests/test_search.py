@@ -1,15 +1,22 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from paved import STACK
 
+from autoreg.geometry import angle_between_rotations, rotation_from_vector
+from autoreg.ground.points import on_ground
 from autoreg.ground.sight import Sight, see
+from autoreg.image import as_gray
 from autoreg.paving.lattice_evidence import Paving
+from autoreg.paving.plane_combs import Hypothesis
 from autoreg.search.find import find_paving
+from autoreg.search.hypotheses import THOROUGHLY, hypothesised, hypothesised_thoroughly
 from autoreg.segments import Detection, Segments
-from autoreg.synthetic import SyntheticPhoto
+from autoreg.synthetic import SyntheticPhoto, render_paving
 from benchmarks.suites import robust
 
 NONE = Segments(np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, int))
@@ -86,3 +93,37 @@ def test_a_small_part_that_a_bad_fit_has_met_does_not_end_the_search():
     assert isinstance(found, Paving)
     up, true = (pose.R[:, 2] for pose in (found.fit.cam_from_ground, photo.scene.cam_from_ground))
     assert np.rad2deg(np.arccos(up @ true)) < 0.05
+
+
+def barred(photo: SyntheticPhoto) -> np.ndarray:
+    """A photo with the shadows of a railing's bars across all of it, at 40 degrees to the joints."""
+    gray = as_gray(photo.pixels).astype(float)
+    height, width = gray.shape
+    v, u = np.mgrid[:height, :width]
+    px = np.stack([u.ravel(), v.ravel()], 1).astype(float)
+    turn = rotation_from_vector(np.array([0.0, 0.0, np.radians(-40.0)]))[:2, :2]
+    across, along = turn @ on_ground(px, photo.camera, photo.cam_from_ground).T
+    bars = (np.mod(across / 0.12, 1) < 0.45) & (np.abs(np.mod(along / 1.3, 1) - 0.5) < 0.45)
+    return np.where(bars.reshape(gray.shape), 0.6 * gray, gray).astype(np.uint8)
+
+
+def test_joints_among_the_shadows_of_bars_are_found_on_further_grounds():
+    scene = replace(
+        STACK, spacing_m=(0.4, 0.4), joint_width_m=0.006, joint_tone=STACK.slab_tone - 40.0, seed=7
+    )
+    photo = render_paving(scene)
+    sight = see(barred(photo))
+
+    def off_deg(hypotheses: list[Hypothesis]) -> float:
+        up = photo.cam_from_ground.R[:, 2]
+        return min(float(np.degrees(np.arccos(min(1.0, R[:, 2] @ up)))) for _, R in hypotheses)
+
+    _, first = hypothesised(sight.segments, sight.size, photo.camera)
+    further = hypothesised_thoroughly(sight.segments, photo.camera, first)
+    assert off_deg(first) > 3.0
+    assert off_deg(further) < 0.5
+    assert len(first) + len(further) <= THOROUGHLY
+    assert all(angle_between_rotations(R, old) > np.radians(1.0) for _, R in further for _, old in first)
+    found = find_paving(sight, photo.camera)
+    assert isinstance(found, Paving)
+    assert sides_in_heights(found) == pytest.approx([0.25, 0.25], rel=0.02)

@@ -84,7 +84,7 @@ def find_paving(
     else:
         further = hypothesised_thoroughly(segments, camera, hypotheses, walls=walls)
         others = lay_promising(looks, segments, further, lay)
-    if is_plain(others):
+    if others and others[0].margin_nats > 0:
         return _unrivalled(others)
     fields = fields_of_rows(looks, segments, sight.size, planes)
     others = suitable(by_cross_joints(looks, fields, free))
