@@ -8,6 +8,7 @@ import pytest
 from paved import STACK, fit_of, gray_of
 
 from autoreg.answer.camera_refusals import camera_contradicted, focal_untold, leaning
+from autoreg.answer.pattern_refusals import askew
 from autoreg.answer.refusals import FEW_SIDES, FRONTAL_DEG, ambiguous, maybe_wall, no_lattice
 from autoreg.camera import Camera
 from autoreg.ground.sides import Grid
@@ -15,6 +16,7 @@ from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import TESTED_NATS, Paving
 from autoreg.paving.side_support import presence_of
 from autoreg.rows.cross_joints import Lean
+from autoreg.rows.turning_stones import Directions
 from autoreg.synthetic import SyntheticPhoto, look_at_ground
 
 
@@ -137,3 +139,14 @@ def test_joints_that_lean_together_blame_whoever_told_the_focal_length(
     assert refusal is not None
     assert (refusal.code, refusal.measured) == (code, 6.97)
     assert word in refusal.message
+
+
+def test_joints_of_which_many_run_along_the_lattice_are_not_askew_for_what_is_strewn_over_them():
+    def scattered(along: float) -> Directions:
+        return Directions(0.0, np.radians(9.0), along, 120)
+
+    refusal = askew((scattered(0.15), scattered(0.15)))
+    assert refusal is not None
+    assert refusal.measured == pytest.approx(9.0)
+    assert askew((scattered(0.15), scattered(0.4))) is None
+    assert askew((scattered(0.15), None)) is None

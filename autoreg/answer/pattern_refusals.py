@@ -20,6 +20,9 @@ MOST_FANNED_DEG, FANNED_SIGMAS = 8.0, 2.5
 # Both families of a lattice's joints do not scatter in direction by more than this. Of right answers the
 # family with less of it does by 4.2 at most (wickerwork; elsewhere by 2.1), of waves that passed by 6.4.
 MOST_ASKEW_DEG = 5.5
+# ... but where more than this share of the edges runs along the lattice, these are its joints among others:
+# of waves and fans 0.17 at most do, of slabs a third of which furniture covers 0.4.
+MOST_ALONG = 0.3
 # Joints run along their lattice: those of pinwheels of large and small squares lie 2 degrees across what
 # looks like a lattice of theirs, others by 0.3 at most.
 MOST_OFF_DEG, OFF_SIGMAS = 1.0, 5.0
@@ -57,9 +60,13 @@ def turning(turn: Lean | None) -> Refusal | None:
 
 
 def askew(run: Sequence[Directions | None]) -> Refusal | None:
-    """The refusal of stones both families of whose joints scatter in direction; None if they do not."""
-    known = [float(np.degrees(family.scatter)) for family in run if family is not None]
-    if len(known) < len(run) or min(known) < MOST_ASKEW_DEG:
+    """The refusal of stones both families of whose joints scatter in direction; None if they do not.
+
+    Nor if those of either mostly run along the lattice and what is strewn over them does not.
+    """
+    seen = [family for family in run if family is not None]
+    known = [float(np.degrees(family.scatter)) for family in seen]
+    if len(known) < len(run) or min(known) < MOST_ASKEW_DEG or max(f.along for f in seen) > MOST_ALONG:
         return None
     return Refusal(
         "no_lattice",

@@ -31,6 +31,8 @@ AROUND = 1.0
 # other directions is something else: those of boards and slabs scatter by up to 1.6 degrees, those of waves
 # that pass as a lattice by 3 or more.
 STRAIGHT_RAD = np.radians(2.0)
+# Joints that run along the lattice do so to this.
+ALONG_RAD = np.radians(1.0)
 
 
 def common_turn(
@@ -58,11 +60,13 @@ def common_turn(
 class Directions:
     """How the joints of one family run: off the lattice's direction in the median, and how they scatter.
 
-    In radians, counterclockwise; the `scatter` is a robust standard deviation of one joint's direction.
+    In radians, counterclockwise; the `scatter` is a robust standard deviation of one joint's direction, and
+    `along` the share of them that run along the lattice, to `ALONG_RAD`.
     """
 
     off: float
     scatter: float
+    along: float
     count: int
 
     @property
@@ -81,7 +85,9 @@ def directions(
     ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
     found = (_off(ground, fit, field, family)[0] for family in (ALONG_X, ALONG_Y))
     return tuple(
-        Directions(float(np.median(off)), spread(off), len(off)) if len(off) >= 3 * FEWEST_SEGMENTS else None
+        Directions(float(np.median(off)), spread(off), float(np.mean(np.abs(off) < ALONG_RAD)), len(off))
+        if len(off) >= 3 * FEWEST_SEGMENTS
+        else None
         for off in found
     )
 
