@@ -70,7 +70,7 @@ def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal 
     return Refusal(
         "camera_contradicted",
         f"{whose} ({camera.fx:.0f} px) the joints across the unbroken ones are {degrees:.1f} degrees off "
-        f"square, which those of rectangular slabs are not; {_OTHER_CAMERA}",
+        f"square, which those of rectangular slabs are not; if these are such slabs, {_OTHER_CAMERA}",
         measured=measured,
         limit=limit,
     )
