@@ -72,7 +72,7 @@ def largest_field(
     if other is None or alike(found, other, ALIKE):
         return found
     whole = _in_whole(sight, camera, other)
-    if whole is None or not _same_ground(found.fit, whole.fit):
+    if whole is None or not same_ground(found.fit, whole.fit):
         return found
     # It is plain to see, in its part or in the whole, unless it is what was asked for.
     if not (other.plain or whole.plain) and (suits or not _suits(whole, slab)):
@@ -193,7 +193,7 @@ def _found_in(sight: Sight, camera: Camera, covered: _Covered, part: _Part) -> P
     return find_on(see(gray), camera.cropped(part.left, part.top, part.width, part.height), part.R)
 
 
-def _same_ground(one: Fit, other: Fit) -> bool:
+def same_ground(one: Fit, other: Fit) -> bool:
     """Whether two fields may lie on the same ground, as the camera sees it."""
     up = float(one.cam_from_ground.R[:, 2] @ other.cam_from_ground.R[:, 2])
     return bool(up > np.cos(SAME_GROUND_RAD))

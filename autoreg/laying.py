@@ -6,7 +6,7 @@ from autoreg.answer.camera_refusals import leaning
 from autoreg.answer.full_resolution import Laid, measured_rows, measured_slabs
 from autoreg.answer.refusals import maybe_wall
 from autoreg.errors import Refusal
-from autoreg.fields import largest_field
+from autoreg.fields import largest_field, same_ground
 from autoreg.fitting.fit import Fit
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.rows.cross_joints import common_lean
@@ -45,9 +45,12 @@ def lay_where(task: Task, found: Paving | Rows) -> Laid:
     except Refusal as refusal:
         if isinstance(found, Rows) or refusal.code != "no_lattice":
             raise
-        # What is no lattice at the photo's own resolution, rows may have looked like.
+        # What is no lattice at the photo's own resolution, rows may have looked like: on that ground, or else
+        # they are lines of a pattern of several stones, by which the ground is another one.
         rows = find_rows(task.sight, task.camera)
         if rows is None or maybe_wall(rows.paving.fit) is not None:
+            raise
+        if task.camera is not None and not same_ground(found.fit, rows.paving.fit):
             raise
         laid = _measured(task, rows)
     wall = maybe_wall(laid.likeliest.fit, laid.likeliest.covariance)

@@ -12,11 +12,13 @@ from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fields import largest_field
-from autoreg.geometry import angle_between_rotations
+from autoreg.geometry import angle_between_rotations, rotation_from_vector
 from autoreg.ground.ground_frame import turned
 from autoreg.ground.points import on_ground, project_ground
 from autoreg.ground.sight import Sight, see
 from autoreg.paving.lattice_evidence import Paving
+from autoreg.rows.cross_joints import CrossJoints
+from autoreg.rows.rows import Rows
 from autoreg.search.find import find_paving
 from autoreg.segments import Segments
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
@@ -294,3 +296,24 @@ def test_where_the_larger_field_is_refused_the_other_is_the_answer(
     else:
         with pytest.raises(Refusal, match="slabs"):
             align(two_fields, CAMERA, camera_height=1.7)
+
+
+@pytest.mark.parametrize(("turn_deg", "answered"), [(0.3, True), (6.0, False)])
+def test_rows_in_place_of_a_refused_lattice_lie_on_its_ground(
+    two_fields: np.ndarray, monkeypatch: pytest.MonkeyPatch, turn_deg: float, answered: bool
+) -> None:
+    sight, found = found_in(two_fields)
+    turn = rotation_from_vector(np.radians([turn_deg, 0.0, 0.0]))
+    pose = replace(found.fit.cam_from_ground, R=found.fit.cam_from_ground.R @ turn)
+    paving = replace(found, fit=replace(found.fit, cam_from_ground=pose))
+    rows = Rows(paving, CrossJoints(np.zeros((0, 2)), 50.0), np.zeros(2))
+
+    def measured(task: Task, what: Paving | Rows) -> object:
+        raise Refusal("no_lattice", "measured as rows" if what is rows else "of several stones")
+
+    monkeypatch.setattr(laying, "_measured", measured)
+    monkeypatch.setattr(laying, "find_rows", lambda *_: rows)
+    monkeypatch.setattr(laying, "maybe_wall", lambda *_: None)
+    task = Task(sight, CAMERA, "file", None, None, None)
+    with pytest.raises(Refusal, match="measured as rows" if answered else "several stones"):
+        laying.lay_where(task, found)
