@@ -15,12 +15,18 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 SLAB_M = (0.4, 0.4)
-# Steps of `autoreg.align`, as far as they are there under these names.
-STAGES = ("see", "find_paving", "measured_slabs", "_concluded")
+# Steps of `autoreg.align`, each with the module that calls it under this name.
+STAGES = {
+    "see": "autoreg.align",
+    "find_paving": "autoreg.laying",
+    "measured_slabs": "autoreg.laying",
+    "_concluded": "autoreg.align",
+}
 
 
 def floor(photo: str) -> dict[str, Any]:
@@ -42,12 +48,12 @@ def align(photo: str, camera_file: str, repeats: str) -> dict[str, Any]:
     from autoreg.errors import Refusal
     from autoreg.segments import detect_segments
 
-    pipeline: Any = sys.modules.get("autoreg.align") or __import__("autoreg.align", fromlist=["align"])
+    pipeline: Any = import_module("autoreg.align")
     camera = read_camera(Path(camera_file))
     spent: dict[str, float] = defaultdict(float)
-    for name in STAGES:
-        if hasattr(pipeline, name):
-            setattr(pipeline, name, _timed(getattr(pipeline, name), name, spent))
+    for name, place in STAGES.items():
+        module = import_module(place)
+        setattr(module, name, _timed(getattr(module, name), name, spent))
     pipeline.warm_up()
     best: dict[str, float] = {}
     ended, joints, segments = "aligned", 0, 0

@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from dataclasses import replace
+from importlib import import_module
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from benchmarks.plots import draw_all
 from benchmarks.processes import run_timed
 from benchmarks.report import markdown, print_report
 from benchmarks.result import Plot, Result, Series, Table, read_results, to_json
+from benchmarks.speed_child import STAGES
 from benchmarks.suites import (
     NAMES,
     NOT_QUICK,
@@ -692,3 +694,8 @@ def test_crossings_that_a_lens_folds_back_into_the_picture_are_none():
     back = on_ground(project_ground(camera, scene.cam_from_ground, ground), camera, scene.cam_from_ground)
     assert len(ground) > 20
     assert np.abs(back - ground).max() < 1e-6
+
+
+def test_the_stages_that_are_timed_are_called_under_the_names_they_are_timed_by():
+    for name, place in STAGES.items():
+        assert callable(getattr(import_module(place), name))
