@@ -110,6 +110,12 @@ class _Covered:
         far = 4 * max(camera.width, camera.height)
         return np.round(np.clip(px[np.isfinite(px).all(1)], -far, far)).astype(int)
 
+    def shown(self, camera: Camera) -> UInt8[np.ndarray, "h w"]:
+        """Ones where the picture shows it."""
+        ones = np.zeros((camera.height, camera.width), np.uint8)
+        cv2.fillPoly(ones, [self.outline_px(camera)], 1)
+        return ones
+
 
 @dataclass(frozen=True)
 class _Part:
@@ -174,8 +180,7 @@ def _span(at: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], limit: i
 
 def _painted(gray: UInt8[np.ndarray, "h w"], camera: Camera, covered: _Covered) -> UInt8[np.ndarray, "h w"]:
     """The photo with its known field in a tone like that of what lies around it."""
-    left = np.ones(gray.shape, np.float32)
-    cv2.fillPoly(left, [covered.outline_px(camera)], 0.0)
+    left = 1.0 - covered.shown(camera).astype(np.float32)
     small, share = (
         cv2.resize(each, None, fx=PAINT_SCALE, fy=PAINT_SCALE, interpolation=cv2.INTER_AREA)
         for each in (gray * left, left)
@@ -214,6 +219,4 @@ def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
 
 def _area_px(fit: Fit, field: Float[np.ndarray, "k 2"]) -> int:
     """How much of the picture a field fills: of two, a person takes that for the larger which does more."""
-    shown = np.zeros((fit.camera.height, fit.camera.width), np.uint8)
-    cv2.fillPoly(shown, [_Covered(fit.cam_from_ground, field).outline_px(fit.camera)], 1)
-    return cv2.countNonZero(shown)
+    return cv2.countNonZero(_Covered(fit.cam_from_ground, field).shown(fit.camera))

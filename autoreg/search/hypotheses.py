@@ -16,7 +16,7 @@ from autoreg.solve.freedom import Free
 HYPOTHESES, HYPOTHESES_NO_FOCAL = 8, 12
 # ... and with a camera, where those show nothing, together with these. Grounds nearer to each other than this
 # are one.
-THOROUGHLY, SAME_GROUND_RAD = 24, np.radians(1.0)
+THOROUGHLY, ALIKE_RAD = 24, np.radians(1.0)
 # What is known of an uncalibrated camera's first radial distortion coefficient, which curved joints tell.
 RADIAL_SIGMA = 0.1
 
@@ -60,4 +60,4 @@ def hypothesised_thoroughly(
 
 def _alike(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> bool:
     """Whether two grounds have about the same joints."""
-    return angle_between_rotations(one, other) < SAME_GROUND_RAD
+    return angle_between_rotations(one, other) < ALIKE_RAD

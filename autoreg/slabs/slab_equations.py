@@ -232,7 +232,7 @@ class SlabEquations:
         drawn += self.Z @ (self.scale[:, None] * random.standard_normal((len(self.scale), DRAWS)))
         drawn += X[:, p:] @ random.standard_normal((k, DRAWS))
         VX = self._whitened(X)
-        inverse = np.linalg.inv(self._matrix(size))
+        inverse = np.linalg.inv(self._matrix(size, self._prior()[0]))
         y = np.column_stack([self.joints.off_px, drawn])
         pulls = self._whitened(y - X @ (inverse @ (VX.T @ y)))
         return drawn_design_effect(X, inverse, pulls, self.joints.shared, 6)
@@ -252,17 +252,20 @@ class SlabEquations:
         mean = np.where(self.known > 0, self.prior_mean, 0.0)
         return np.r_[self.known + little, np.ones(k)], np.r_[mean, np.zeros(k)]
 
-    def _matrix(self, size: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+    def _matrix(
+        self, size: Float[np.ndarray, " k"], known: Float[np.ndarray, " k"]
+    ) -> Float[np.ndarray, "k k"]:
         """The normal matrix of the motion and all effects, for columns of such sizes."""
-        return self.gram[:-1, :-1] * size * size[:, None] + np.diag(self._prior()[0])
+        H = self.gram[:-1, :-1] * size * size[:, None]
+        H[np.diag_indices(len(H))] += known
+        return H
 
     def _reduced(self) -> _Reduced:
         """The normal equations for the sizes that were factorised last."""
         p, last = len(self.free), self.last
         known, mean = self._prior()
         size = self._sized(1.0)
-        H = self.gram[:-1, :-1] * size * size[:, None]
-        H[np.diag_indices(len(H))] += known
+        H = self._matrix(size, known)
         g = self.gram[:-1, -1] * size - known * mean
         rest = H[self.first]
         across, right = rest[:, last], np.zeros((len(rest), len(last) + 1 + p))
