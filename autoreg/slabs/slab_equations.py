@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import cho_solve_banded, cholesky_banded, lu_factor, lu_solve
+from scipy.linalg import cho_solve_banded
 from scipy.sparse import hstack
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
@@ -19,6 +19,8 @@ from autoreg.fitting.design_effect import drawn_design_effect
 from autoreg.fitting.fit import Fit
 from autoreg.slabs.banded import solve_lower_banded
 from autoreg.slabs.measured_joints import measured_joints
+from autoreg.slabs.reduced_equations import NormalEquations, ReducedEquations
+from autoreg.slabs.slab_band import SlabBand
 from autoreg.slabs.slab_effects import (
     bloom_effects,
     bow_effects,
@@ -57,49 +59,6 @@ class Sizes(NamedTuple):
     together: float
 
 
-class _Reduced(NamedTuple):
-    """The normal equations of the motion and all effects, with all but the relief's eliminated.
-
-    What is left of the relief's own equations, I + r^2 S for a size r, is turned to the axes of S, so that it
-    is solved for every size at once.
-
-    Attributes:
-        by_relief: what a unit of each relief effect, of size one, takes from the other unknowns.
-        alone: the other unknowns' solution without relief, with the sign changed.
-        spread: the motion's columns of the inverse of their normal matrix.
-        squares: eigenvalues of S.
-        axes: its eigenvectors.
-        pull: what the residuals ask of the relief along these axes, for size one.
-        expected: the relief's prior mean along these axes.
-        left: the sum of squares without relief.
-        logdet: logarithm of the determinant of the covariance and of the other unknowns' normal matrix.
-    """
-
-    by_relief: Float[np.ndarray, "f l"]
-    alone: Float[np.ndarray, " f"]
-    spread: Float[np.ndarray, "f p"]
-    squares: Float[np.ndarray, " l"]
-    axes: Float[np.ndarray, "l l"]
-    pull: Float[np.ndarray, " l"]
-    expected: Float[np.ndarray, " l"]
-    left: float
-    logdet: float
-
-    def shrunk(self, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, "r l"]:
-        """What the priors leave of each axis, for each size of the relief."""
-        return 1.0 / (1.0 + reliefs[:, None] ** 2 * self.squares)
-
-    def asked(self, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, "r l"]:
-        """What is asked of each axis, for each size of the relief."""
-        return reliefs[:, None] * self.pull + self.expected
-
-    def value(self, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, " r"]:
-        """Restricted log likelihood for each size of the relief."""
-        shrunk = self.shrunk(reliefs)
-        left = self.left - (shrunk * self.asked(reliefs) ** 2).sum(1)
-        return -0.5 * (left + self.logdet - np.log(shrunk).sum(1))
-
-
 class SlabEquations:
     """The linear mixed model of one fit's residuals."""
 
@@ -135,7 +94,7 @@ class SlabEquations:
         # Neighbouring slabs next to each other: only they share a joint, and so the products form a band.
         order = reverse_cuthill_mckee((Z.T @ Z).tocsr(), symmetric_mode=True)
         self.Z: Any = Z[:, order].tocsr()
-        self._pair_up()
+        self.band = SlabBand(self.Z)
         self.kind = np.repeat(kinds, [effects[k].get_shape()[1] for k in kinds])[order]
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
         relief, self.expected = relief_effects(joints)
@@ -167,32 +126,11 @@ class SlabEquations:
         self.weight = 1.0 / (1.0 + (joints.off_px / (CAUCHY_SIGMAS * usual)) ** 2)
         self._weigh()
 
-    def _pair_up(self) -> None:
-        """Where the products of Z's entries stand in the band of Z' D^-1 Z, whatever D is.
-
-        Two slabs move every measurement, each by its place, its lift and its turn, and so all rows of Z have
-        as many entries. Those that are zero would widen the band.
-        """
-        count, size = self.Z.shape
-        column, value = (entries.reshape(count, -1) for entries in (self.Z.indices, self.Z.data))
-        one, other = np.tril_indices(column.shape[1])
-        product = value[:, one] * value[:, other]
-        self.pair_row, pair = np.nonzero(product)
-        self.pair_product = product[self.pair_row, pair]
-        ends = column[self.pair_row, one[pair]].astype(np.int64), column[self.pair_row, other[pair]]
-        low, high = np.minimum(*ends), np.maximum(*ends)
-        place = (high - low) * size + low
-        used = np.flatnonzero(np.bincount(place))
-        self.below, self.column = np.divmod(used, size)
-        number = np.zeros(used[-1] + 1, dtype=np.int64)
-        number[used] = np.arange(len(used))
-        self.pair = number[place]
-
     def _weigh(self) -> None:
         """The products with the inverse of D that every size needs, for the weights as they are."""
         self.D = self.joints.noise_px**2 / self.weight
         over = self.columns / self.D[:, None]
-        self.products = np.bincount(self.pair, self.pair_product / self.D[self.pair_row])
+        self.products = self.band.products(self.D)
         self.ZDC = self.Z.T @ over
         self.CDC = self.columns.T @ over
         self.factored: tuple[float, ...] | None = None
@@ -205,11 +143,7 @@ class SlabEquations:
             return
         self.factored = place, lift, turn
         self.scale = np.array([place, place * lift, place * turn])[self.kind]
-        band = np.zeros((int(self.below[-1]) + 1, len(self.scale)), order="F")
-        both = self.scale[self.column] * self.scale[self.column + self.below]
-        band[self.below, self.column] = self.products * both
-        band[0] += 1.0
-        self.cholesky = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+        self.cholesky = self.band.cholesky(self.products, self.scale)
         self.logdet = float(np.log(self.D * self.weight).sum() + 2.0 * np.log(self.cholesky[0]).sum())
         across = solve_lower_banded(self.cholesky, self.scale[:, None] * self.ZDC)
         self.gram = self.CDC - across.T @ across
@@ -260,61 +194,39 @@ class SlabEquations:
         H[np.diag_indices(len(H))] += known
         return H
 
-    def _reduced(self) -> _Reduced:
-        """The normal equations for the sizes that were factorised last."""
-        p, last = len(self.free), self.last
+    def _reduced(self) -> ReducedEquations:
+        """The normal equations for the sizes that were factorised last, the relief's eliminated last."""
         known, mean = self._prior()
         size = self._sized(1.0)
-        H = self._matrix(size, known)
-        g = self.gram[:-1, -1] * size - known * mean
-        rest = H[self.first]
-        across, right = rest[:, last], np.zeros((len(rest), len(last) + 1 + p))
-        right[:, : len(last)], right[:, len(last)] = across, g[self.first]
-        right[:p, len(last) + 1 :] = np.eye(p)
-        factors = lu_factor(rest[:, self.first], overwrite_a=True, check_finite=False)
-        solved = lu_solve(factors, right, overwrite_b=True, check_finite=False)
-        by_relief, alone, spread = solved[:, : len(last)], solved[:, len(last)], solved[:, len(last) + 1 :]
-        own = H[last][:, last] - across.T @ by_relief
-        own[np.diag_indices(len(own))] -= 1.0
-        squares, axes = np.linalg.eigh(own)
-        left = self.gram[-1, -1] + known @ mean**2 + self.expected @ self.expected - g[self.first] @ alone
-        return _Reduced(
-            by_relief,
-            alone,
-            spread,
-            np.maximum(squares, 0.0),
-            axes,
-            (across.T @ alone - g[last]) @ axes,
-            self.expected @ axes,
-            float(left),
-            self.logdet + float(np.log(np.abs(np.diag(factors[0]))).sum()),
+        gradient = self.gram[:-1, -1] * size - known * mean
+        squares = float(self.gram[-1, -1] + known @ mean**2)
+        equations = NormalEquations(
+            self._matrix(size, known),
+            gradient,
+            self.first,
+            self.last,
+            self.expected,
+            len(self.free),
+            squares,
+            self.logdet,
         )
-
-    def _unknowns(self, reduced: _Reduced, reliefs: Float[np.ndarray, " r"]) -> Float[np.ndarray, "r k"]:
-        """The motion and all effects, scaled as the columns are, for each size of the relief."""
-        x = np.empty((len(reliefs), len(self.first) + len(self.last)))
-        shifts = (reduced.shrunk(reliefs) * reduced.asked(reliefs)) @ reduced.axes.T
-        x[:, self.last] = reliefs[:, None] * shifts
-        x[:, self.first] = -reduced.alone - x[:, self.last] @ reduced.by_relief.T
-        return x * self._sized(1.0)
+        return ReducedEquations.of(equations)
 
     def solve(self) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, "r p"], Float[np.ndarray, "r p p"]]:
         """Restricted log likelihood, scaled motion and its covariance, for each size of the relief."""
         reliefs, p, reduced = np.array(RELIEFS), len(self.free), self._reduced()
-        along = reduced.by_relief[:p] @ reduced.axes
-        shrunk = reduced.shrunk(reliefs)[:, None]
-        covariance = reduced.spread[:p] + reliefs[:, None, None] ** 2 * (along * shrunk) @ along.T
-        return reduced.value(reliefs), self._unknowns(reduced, reliefs)[:, :p], covariance
+        motion = reduced.solution(reliefs)[:, :p]
+        return reduced.log_likelihood(reliefs), motion, reduced.covariance(reliefs)
 
     def evidence(self, sizes: Sizes) -> dict[float, float]:
         """Restricted log likelihood for each size of the relief."""
         self.factor(sizes)
-        return dict(zip(RELIEFS, self._reduced().value(np.array(RELIEFS)).tolist(), strict=True))
+        return dict(zip(RELIEFS, self._reduced().log_likelihood(np.array(RELIEFS)).tolist(), strict=True))
 
     def reweigh(self, sizes: Sizes, relief: float) -> None:
         """Cauchy weights from what is left of each station's residual when the slabs have had their share."""
         self.factor(sizes)
-        x = self._unknowns(self._reduced(), np.array([relief]))[0]
+        x = self._reduced().solution(np.array([relief]))[0] * self._sized(1.0)
         left = self.columns @ np.r_[x, 1.0]
         own = self.D * self._whitened(left[:, None])[:, 0]
         # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
