@@ -8,6 +8,8 @@ import os
 import sys
 from types import ModuleType
 
+from autoreg.errors import INTERRUPTED
+
 # So many objects may come to be before Python looks for garbage among them. While modules are imported nearly
 # all of them stay, and looking takes a tenth of the time.
 GARBAGE = 200_000
@@ -38,7 +40,11 @@ def program() -> None:
     # Alignment and calibration hold BLAS to one thread (blas_threads.py); here no others need be started.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.modules.setdefault("jaxtyping", _Shapes("jaxtyping"))
-    from autoreg.command.cli import main
+    try:
+        from autoreg.command.cli import main
+    except KeyboardInterrupt:
+        # Before the command has begun there is nothing to end or to tell.
+        os._exit(INTERRUPTED)
 
     try:
         main()

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+# How a command ends that was interrupted.
+INTERRUPTED = 130
+
 
 class AutoregError(Exception):
     """Base of every failure that autoreg foresees; the message holds cause, measured value and next step."""

@@ -19,6 +19,7 @@ from benchmarks.result import Result, Table
 from benchmarks.suites import NAMES
 
 PACKAGES = ("autoreg", "numpy", "opencv-python-headless", "jax", "jaxopt", "scipy", "poselib")
+MOST_DIGITS = 9
 BAD = "bold red"
 STYLES = {"worse": BAD, "missing": BAD, "not measured": BAD, "better": "green", "new": "yellow"}
 
@@ -28,6 +29,15 @@ def number(value: float | None) -> str:
     if value is None:
         return ""
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def measured(m: Metric, value: float | None) -> str:
+    """A metric's figure, with as many digits besides as show on which side of the goal it lies."""
+    text, digits = number(value), 3
+    while value is not None and m.reached(float(text)) != m.reached(value) and digits < MOST_DIGITS:
+        digits += 1
+        text = f"{value:.{digits}g}"
+    return text
 
 
 def machine() -> tuple[tuple[str, str], ...]:
@@ -79,11 +89,16 @@ def _figures(judged: Sequence[Judgement]) -> RichTable:
     for column in ("figure", "value", "unit", "goal", "reached", "baseline", "gate"):
         made.add_column(column, justify="right" if column in ("value", "baseline") else "left")
     for j in judged:
-        verdict = Text(j.verdict, style=STYLES.get(j.verdict, ""))
+        m, verdict = j.metric, Text(j.verdict, style=STYLES.get(j.verdict, ""))
         made.add_row(
-            Text(j.metric.label), number(j.value), j.metric.unit, j.metric.goal_text(), _reached(j),
-            number(j.baseline), verdict,
-        )  # fmt: skip
+            Text(m.label),
+            measured(m, j.value),
+            m.unit,
+            m.goal_text(),
+            _reached(j),
+            number(j.baseline),
+            verdict,
+        )
     return made
 
 
@@ -135,7 +150,7 @@ def not_good_yet(results: Sequence[Result], judged: Sequence[Judgement]) -> list
     """The goals that are missed and by how much, and what was not measured."""
     missed = [j for j in judged if j.value is not None and j.metric.reached(j.value) is False]
     lines = [
-        f"- {j.metric.suite}: {_label(j.metric)} is {number(j.value)}{_unit(j.metric)}; "
+        f"- {j.metric.suite}: {_label(j.metric)} is {measured(j.metric, j.value)}{_unit(j.metric)}; "
         f"the goal is {j.metric.goal_text()}{_unit(j.metric)}."
         for j in missed
     ]
@@ -161,7 +176,7 @@ def _section(result: Result, judged: Sequence[Judgement], images: str) -> list[s
     if result.skipped is not None:
         return [*lines, f"Skipped: {result.skipped}.", ""]
     rows = tuple(
-        (j.metric.label, number(j.value) + _unit(j.metric), j.metric.goal_text(), _reached(j))
+        (j.metric.label, measured(j.metric, j.value) + _unit(j.metric), j.metric.goal_text(), _reached(j))
         for j in judged
         if j.value is not None
     )

@@ -32,7 +32,7 @@ from benchmarks.options import Options
 from benchmarks.peers import Edges, lsd_segments, match_edges, refine_with, solve_poselib, solve_scipy
 from benchmarks.plots import draw_all
 from benchmarks.processes import run_timed
-from benchmarks.report import markdown, print_report
+from benchmarks.report import markdown, measured, print_report
 from benchmarks.result import Plot, Result, Series, Table, read_results, to_json
 from benchmarks.speed_child import STAGES
 from benchmarks.suites import (
@@ -211,6 +211,14 @@ def test_the_report_says_what_is_missed_by_how_much_and_how_to_repeat_it():
     assert "`python -m benchmarks --only limit` (2 s)" in text
     assert "images/bench-limit-curve.png" in text
     assert "a \\| b" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(97.0, "97"), (97.04, "97.04"), (92.9996, "92.9996"), (95.123, "95.1"), (None, "")]
+)
+def test_a_figure_that_misses_its_goal_by_little_does_not_look_as_if_it_reached_it(value, shown):
+    inside = Metric("truth.pose", "covered", "%", better="inside", goal=(93.0, 97.0))
+    assert measured(inside, value) == shown
 
 
 def test_the_report_says_so_where_every_goal_is_reached():

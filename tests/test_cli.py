@@ -480,3 +480,15 @@ def test_a_real_interrupt_ends_the_process_with_130(tmp_path, name, stuck):
     assert process.returncode == 130
     assert "Traceback" not in said
     assert [p.name for p in tmp_path.iterdir()] == ["photo.png"]
+
+
+def test_an_interrupt_before_the_command_has_begun_leaves_no_traceback(tmp_path):
+    (tmp_path / "typer.py").write_text("raise KeyboardInterrupt\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "autoreg", "--version"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(job.__file__).parents[2])])},
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

@@ -27,13 +27,12 @@ from autoreg.command.cli_render import (
     parse_wish,
     path_named,
 )
-from autoreg.errors import AutoregError, InputError
+from autoreg.errors import INTERRUPTED, AutoregError, InputError
 from autoreg.jobs.options import parse_crop, parse_height, parse_slab
 
 if TYPE_CHECKING:
     from autoreg.jobs.job import Job
 
-INTERRUPTED = 130
 # What an interrupted command gives each of its threads to end what they import or compile.
 PATIENCE_S = 8.0
 
