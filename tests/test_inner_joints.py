@@ -58,6 +58,20 @@ def test_another_field_in_a_part_of_the_hull_says_nothing(stack_fit: Fit) -> Non
     assert filled(inner_share(segments, stack_fit, FIELD)) is None
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_grain_of_boards_is_no_joint_of_theirs_but_joints_across_boards_are(
+    stack_fit: Fit, turned: bool
+) -> None:
+    a, b = stack_fit.grid.spacing_x, stack_fit.grid.spacing_y
+    assert a is not None
+    boards = replace(stack_fit, grid=Grid(a, 4 * a) if turned else Grid(4 * b, b))
+    middle = np.random.default_rng(0).uniform(-4.0, 4.0, (3000, 2)) * [a, b]
+    step = 0.3 * (np.array([0.0, b]) if turned else np.array([a, 0.0]))
+    grain = np.stack([middle - step, middle + step], 1)
+    assert filled(inner_share(segments_of(stack_fit, grain), boards, FIELD)) is None
+    assert filled(inner_share(segments_of(stack_fit, grain[:, :, ::-1]), boards, FIELD)) is not None
+
+
 def test_a_few_edges_in_slabs_say_nothing(stack_fit: Fit) -> None:
     a, b = stack_fit.grid.spacing_x, stack_fit.grid.spacing_y
     assert a is not None

@@ -157,6 +157,27 @@ def test_a_floor_turned_against_the_building_is_among_the_candidates():
     assert min(quarter_turn_error_deg(h.R, R) for h in found[:8]) < 0.3
 
 
+def boards(R, grain, ends, seed, height=1.5, width=0.15):
+    """The grain of a floor of boards, a little wavy, and the short joints at the ends of some."""
+    rng = np.random.default_rng(seed)
+    ahead = R.T @ np.array([0.0, 0.0, 1.0])
+    centre = height * ahead / -ahead[2] * [1.0, 1.0, 0.0]
+    middle = np.pad(rng.uniform(-1.5, 1.5, (grain + ends, 2)), ((0, 0), (0, 1))) + centre
+    angle = np.r_[rng.normal(0.0, 0.015, grain), np.full(ends, np.pi / 2)]
+    half = np.r_[rng.uniform(0.03, 0.12, grain), np.full(ends, width / 2)][:, None]
+    along = half * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], 1)
+    lines = np.stack([middle - along, middle + along], 1)
+    return seen(CAMERA, lines @ R.T + R @ np.array([0.0, 0.0, -height]))
+
+
+@pytest.mark.parametrize("seed", [3, 13])
+def test_the_grain_of_boards_does_not_outweigh_their_ends(seed):
+    R = looking(38.0, 25.0)
+    ends = np.concatenate([boards(R, 5000, 60, seed), clutter(CAMERA, 60, 4)])
+    found = ground_planes(as_segments(noisy(ends, 0.3, 0.0, 7), 0.3), CAMERA)
+    assert quarter_turn_error_deg(found[0].R, R) < 0.5
+
+
 def test_plus_y_points_away_from_the_camera_and_z_up():
     for pitch in (15.0, 50.0, 88.0):
         R = looking(pitch, 12.0)

@@ -256,12 +256,15 @@ def _score(
 ) -> tuple[Float[np.ndarray, "k 2"], Float[np.ndarray, " k"]]:
     """Supporting length per direction, and the score: what chance alone would support is taken off.
 
-    A wall shares one direction with the ground, so the weaker of the two directions counts most.
+    A segment that supports one direction cannot support the other by chance: the grain of wooden boards would
+    outweigh their short joints. A wall shares one direction with the ground, so the weaker of the two
+    directions counts most.
     """
     below = _below_horizon(rays, fit)
     support = member @ rays.weight
     chance = np.minimum(1.0, (4 / (3 * np.pi)) * CUTOFF_SIGMAS * rays.sigma / rays.half_length)
-    excess = support - (below * chance) @ rays.weight[:, None]
+    free = below[:, None] & (member[:, ::-1] == 0.0)
+    excess = support - free @ (chance * rays.weight)
     low, high = excess.min(1), excess.max(1)
     score = np.where(low > 0, low + 0.1 * high, 0.1 * low)
     pitch = np.arcsin(np.clip(-fit.R[:, 2, 2], -1.0, 1.0))

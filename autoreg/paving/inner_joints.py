@@ -18,6 +18,8 @@ from autoreg.segments import Segments
 ALONG_RAD, INSIDE = np.radians(4.0), 0.2
 # Fewer edges than this tell nothing.
 FEWEST = 20
+# Slabs that are so many times as long as wide look like boards, along which wood has its grain.
+BOARD = 3.0
 
 
 def inner_share(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -> float:
@@ -25,7 +27,7 @@ def inner_share(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -
 
     By length in the picture, over the share that places anywhere would have: 0 where all edges lie on joints,
     1 where they lie anywhere. Of the quarters of the field that with the least counts, since another field
-    may reach into its hull.
+    may reach into its hull. What runs along boards may be their grain, and does not count.
 
     Args:
         segments: of the whole photo.
@@ -43,11 +45,14 @@ def inner_share(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"]) -
     lean, steep = np.arctan2(y, x), np.sin(ALONG_RAD)
     row = middle[:, 1] / grid.spacing_y
     column = middle[:, 0] / grid.spacing_x - np.floor(row) * grid.shift
-    families = ((np.abs(np.sin(lean)) < steep, row), (np.abs(np.cos(lean)) < steep, column))
+    families = (
+        (np.abs(np.sin(lean)) < steep, row, grid.spacing_x / grid.spacing_y),
+        (np.abs(np.cos(lean)) < steep, column, grid.spacing_y / grid.spacing_x),
+    )
     shares = [0.0]
-    for along, place in families:
+    for along, place, longer in families:
         inner = np.abs(place - np.round(place))[along] > INSIDE
-        if inner.sum() >= FEWEST:
+        if inner.sum() >= FEWEST and longer < BOARD:
             beyond = middle[along] > np.median(middle[along], axis=0)
             quarter = beyond @ [1, 2]
             total = np.bincount(quarter, length[along], 4)
