@@ -10,6 +10,7 @@ from jaxtyping import UInt8
 from autoreg.answer.full_resolution import Laid
 from autoreg.errors import Refusal
 from autoreg.fine_hue import Hue, finest_hue
+from autoreg.fitting.fit import Fit
 from autoreg.ground.sight import see
 from autoreg.joint_tone import Tone, clearest_tone
 from autoreg.laying import camera_to_blame, lay, lay_where
@@ -77,7 +78,17 @@ def _in_joint_tone(task: Task, laid: Laid) -> tuple[Task, Laid]:
     same = alike(laid.settled, clearer.settled, SAME_SPACING)
     better = same or clearer.settled.margin_nats > laid.settled.margin_nats
     smooth = clearer.fit.roughness_px < ROUGHER_IN_TONE * laid.fit.roughness_px
+    smooth |= _at_odds(laid.fit) and not _at_odds(clearer.fit)
     return (toned, clearer) if better and smooth else (task, laid)
+
+
+def _at_odds(fit: Fit) -> bool:
+    """Whether the joints of one family are darker than the slabs, and those of the other lighter.
+
+    What fills the joints is either: a rim in the light was taken for them.
+    """
+    x, y = fit.strip.polarity
+    return x * y < 0
 
 
 def _seen_in(task: Task, colour: UInt8[np.ndarray, "h w 3"], tone: Hue | Tone | None) -> Task | None:

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from coloured import SAND, UNEVEN, in_colour, miss_deg
 from paved import CAMERA, CHECKER, STACK, fit_of
 
+from autoreg import laying_in_tone
 from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.fitting.bare_steps import across_slope
@@ -74,6 +77,43 @@ def test_luminance_is_what_opencv_takes_for_it(sandy: SyntheticPhoto):
 def test_a_colour_photo_of_joints_that_luminance_hardly_shows_is_aligned_by_their_hue(sandy: SyntheticPhoto):
     assert miss_deg(sandy, sandy.pixels) < 0.02
     assert miss_deg(sandy, sandy.pixels) < 0.5 * miss_deg(sandy, as_gray(sandy.pixels))
+
+
+@pytest.mark.parametrize(
+    ("luminance", "tone", "rougher", "taken"),
+    [
+        ((-1, -1), (-1, -1), 1.5, True),
+        ((-1, -1), (-1, -1), 1.7, False),
+        # A rim in the light, measured in place of its joint, lies as even as that.
+        ((1, -1), (-1, -1), 3.0, True),
+        ((1, -1), (-1, 1), 3.0, False),
+        ((0, -1), (-1, -1), 3.0, False),
+    ],
+)
+def test_a_tone_that_shows_joints_rougher_is_taken_where_luminance_takes_a_lit_rim_for_some(
+    monkeypatch: pytest.MonkeyPatch,
+    luminance: tuple[int, int],
+    tone: tuple[int, int],
+    rougher: float,
+    taken: bool,
+):
+    before, clearer = (
+        SimpleNamespace(
+            fit=SimpleNamespace(strip=SimpleNamespace(polarity=polarity), roughness_px=roughness_px),
+            settled=SimpleNamespace(margin_nats=50.0),
+        )
+        for polarity, roughness_px in ((luminance, 0.2), (tone, 0.2 * rougher))
+    )
+    task: Any = SimpleNamespace(colour=lambda: None, sight=SimpleNamespace(looks=SimpleNamespace(size=SIZE)))
+    for name, stand_in in (
+        ("clearest_tone", lambda *_: None),
+        ("_seen_in", lambda *_: "toned"),
+        ("_laid_anew", lambda *_: clearer),
+        ("alike", lambda *_: True),
+    ):
+        monkeypatch.setattr(laying_in_tone, name, stand_in)
+    answer = laying_in_tone._in_joint_tone(task, before)
+    assert answer == (("toned", clearer) if taken else (task, before))
 
 
 def test_beds_are_measured_where_they_would_be_at_the_slabs_level(stack_fit: Fit):
