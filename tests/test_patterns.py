@@ -109,6 +109,16 @@ def test_cut_blocks_that_show_marks_where_joints_would_be_break_off_none_the_les
 
 
 @pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_a_few_joints_of_which_moss_hides_some_do_not_break_off(family: int):
+    rng = np.random.default_rng(3)
+    sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 3.0))
+    hidden = rng.uniform(size=(200, len(sides))) < 0.22
+    p = np.where(hidden, rng.uniform(0.3, 1.0, hidden.shape), rng.uniform(0.01, 0.15, hidden.shape))
+    alarms = sum(broken(presence_with(sides, own), family) for own in p)
+    assert alarms <= 7
+
+
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
 def test_whole_lines_that_break_off_in_turn_are_told_from_a_few_that_are_worn(family: int):
     rng = np.random.default_rng(13)
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 18.0))

@@ -20,6 +20,9 @@ SURELY_SIGMAS = 6.0
 # that are none the less whole one does by 2.0 at most. Two of five are absent in pinwheels of large and small
 # squares whose sides are as two to one, by 8 and more.
 BREAKS = ((3, 1, 3.0), (4, 1, 3.0), (5, 2, 4.5))
+# ... and where the others are plainly there: in patterns by 3.6 and more, by 1.2 where a patch of moss hid
+# some of a few bricks' joints.
+PRESENT_SIGMAS = 3.0
 # Each class must hold so many sides, and in a small field so many: herringbone's held 24 and more there.
 LEAST_OF_CLASS, LEAST_OF_FEW = 5, 12
 # A single line may be worn or covered as a whole: of lines, with so many sides, so many are asked for in
@@ -184,7 +187,7 @@ def broken(presence: Presence, family: int, *, few: bool = False) -> bool:
                 unit = scatter * np.sqrt(1 / count[gone] + 1 / count[there])
                 apart = mean[gone] - mean[there]
                 present = mean[there] < PRESENT_P and not few
-                clear = mean[gone] > BROKEN_P and (present or apart > sigmas * unit)
+                clear = mean[gone] > BROKEN_P and apart > (PRESENT_SIGMAS if present else sigmas) * unit
                 clear |= mean[gone] > PRESENT_P and apart > SURELY_SIGMAS * unit
                 if clear and (q > 0 or _whole_lines(line, p, m, int(gone))):
                     return True
