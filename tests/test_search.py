@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from paved import STACK
 
+from autoreg.errors import Refusal
 from autoreg.geometry import angle_between_rotations, rotation_from_vector
 from autoreg.ground.points import on_ground
 from autoreg.ground.sight import Sight, see
@@ -20,6 +21,14 @@ from autoreg.synthetic import SyntheticPhoto, render_paving
 from benchmarks.suites import robust
 
 NONE = Segments(np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, int))
+
+
+def agreed(segments: Segments, photo: SyntheticPhoto, direction: np.ndarray) -> np.ndarray:
+    """Which segments run along a direction of the camera's frame."""
+    ground = on_ground(segments.ends_px, photo.camera, photo.cam_from_ground)
+    run = ground[:, 1] - ground[:, 0]
+    lean = np.abs(run @ (photo.cam_from_ground.R.T @ direction)[:2]) / np.linalg.norm(run, axis=1)
+    return np.flatnonzero(lean > np.cos(np.radians(2.0)))
 
 
 class Waited(Exception):
@@ -127,3 +136,21 @@ def test_joints_among_the_shadows_of_bars_are_found_on_further_grounds():
     found = find_paving(sight, photo.camera)
     assert isinstance(found, Paving)
     assert sides_in_heights(found) == pytest.approx([0.25, 0.25], rel=0.02)
+
+
+def test_joints_without_any_edge_across_them_are_found_on_grounds_turned_about_them(
+    half_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
+):
+    sight = sight_of(half_photo)
+    along = half_photo.cam_from_ground.R[:, 0]
+    # The segments of the unbroken joints alone, as a grain would leave them.
+    ends_px = sight.segments.ends_px[agreed(sight.segments, half_photo, along)]
+    assert len(sight.segments) > len(ends_px) > 20
+    grain = Segments(ends_px, np.full(len(ends_px), 0.2), np.zeros(len(ends_px), int))
+    blind = with_detection(sight, NONE, grain)
+    found = find_paving(blind, half_photo.camera)
+    assert isinstance(found, Paving)
+    assert found.grid.shift == 0.5
+    monkeypatch.setattr("autoreg.search.find.hypothesised_along_grain", lambda *_, **__: [])
+    with pytest.raises(Refusal):
+        find_paving(blind, half_photo.camera)

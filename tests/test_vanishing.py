@@ -1,6 +1,7 @@
 """Vanishing directions: Manhattan frames and ground candidates, on exact scenes, noisy ones and real ones."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -14,7 +15,7 @@ from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.geometry import angle_between_rotations
 from autoreg.ground.directions import LAYING_SPREAD_RAD
-from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal
+from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal, grounds_along
 from autoreg.segments import Segments, detect_segments
 from autoreg.synthetic import look_at_ground
 from autoreg.vanishing import manhattan_frame
@@ -176,6 +177,21 @@ def test_the_grain_of_boards_does_not_outweigh_their_ends(seed):
     ends = np.concatenate([boards(R, 5000, 60, seed), clutter(CAMERA, 60, 4)])
     found = ground_planes(as_segments(noisy(ends, 0.3, 0.0, 7), 0.3), CAMERA)
     assert quarter_turn_error_deg(found[0].R, R) < 0.5
+
+
+def test_where_next_to_all_edges_run_one_way_all_grounds_along_it_are_told():
+    R = looking(38.0, 25.0)
+    grain = as_segments(np.concatenate([boards(R, 800, 0, 3), clutter(CAMERA, 30, 4)]))
+    step = np.radians(2.0)
+    found = grounds_along(grain, CAMERA, least_share=0.5, step_rad=step)
+    assert min(quarter_turn_error_deg(own, R) for own in found) < 1.2
+    # Seen from above: the ground's normal points up in the picture, or to the camera.
+    assert ((found[:, 1, 2] < 0) | (found[:, 2, 2] < -0.7)).all()
+    turns = [np.degrees(angle_between_rotations(one, other)) for one, other in pairwise(found)]
+    assert np.median(turns) == pytest.approx(2.0)
+    others = as_segments(clutter(CAMERA, 400, 5))
+    assert len(grounds_along(others, CAMERA, least_share=0.5, step_rad=step)) == 0
+    assert len(grounds_along(as_segments(np.zeros((0, 2, 2))), CAMERA, least_share=0.5, step_rad=step)) == 0
 
 
 def test_plus_y_points_away_from_the_camera_and_z_up():

@@ -17,6 +17,7 @@ from autoreg.ground.directions import (
     camera_rays,
     segment_rays,
     single_directions,
+    strongest_share,
 )
 from autoreg.ground.frames import FrameFit, fit_step, frames_of_pairs, frames_through, image_dirs, memberships
 from autoreg.segments import Segments
@@ -112,6 +113,27 @@ def ground_planes_unknown_focal(
     focal_px = nominal_px * np.exp(found.fit.log_focal)
     scale = float(np.sqrt(SHARED_ERRORS))
     return tuple((_hypothesis(found, k, scale), float(focal_px[k])) for k in range(len(found.score)))
+
+
+def grounds_along(
+    segments: Segments, camera: Camera, *, least_share: float, step_rad: float
+) -> Float[np.ndarray, "k 3 3"]:
+    """Every so far turned ground along which the strongest direction runs, if it has such a share of edges.
+
+    Columns are those of `GroundHypothesis.R`. For joints of one family, or a grain along them, beside which
+    next to no edges tell how the ground is turned about them.
+    """
+    rays = camera_rays(segments, camera)
+    if strongest_share(rays) < least_share:
+        return np.zeros((0, 3, 3))
+    strongest = single_directions(rays, _seeds(rays, USUAL.seeds), count=1, apart_rad=np.radians(2.0))
+    angle = np.arange(0.0, np.pi, step_rad)
+    first = np.cross(strongest[0], np.eye(3)[np.abs(strongest[0]).argmin()])
+    first /= np.linalg.norm(first)
+    up = np.outer(np.cos(angle), first) + np.outer(np.sin(angle), np.cross(strongest[0], first))
+    along = np.broadcast_to(strongest[0], up.shape)
+    R = _canonical(np.stack([along, np.cross(up, along), up], 2))
+    return R[_possible(R)]
 
 
 def like_wall(R: Float[np.ndarray, "3 3"]) -> bool:

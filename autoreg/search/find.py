@@ -16,7 +16,7 @@ from autoreg.paving.lay import lay_lattice
 from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows
 from autoreg.search.glance import at_a_glance
-from autoreg.search.hypotheses import hypothesised, hypothesised_thoroughly
+from autoreg.search.hypotheses import hypothesised, hypothesised_along_grain, hypothesised_thoroughly
 from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, lay_planes, lay_promising
 from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, fields_of_rows, rows_alone
 from autoreg.segments import Segments
@@ -82,8 +82,12 @@ def find_paving(
     if camera is None:
         others = suitable(by_other_focals(looks, planes, free))
     else:
-        further = hypothesised_thoroughly(segments, camera, hypotheses, walls=walls)
-        others = lay_promising(looks, segments, further, lay)
+        further = (
+            lambda: hypothesised_thoroughly(segments, camera, hypotheses, walls=walls),
+            lambda: hypothesised_along_grain(segments, camera, walls=walls),
+        )
+        tried = (lay_promising(looks, segments, grounds(), lay) for grounds in further)
+        others = next((laid for laid in tried if laid and laid[0].margin_nats > 0), ())
     if others and others[0].margin_nats > 0:
         return _unrivalled(others)
     fields = fields_of_rows(looks, segments, sight.size, planes)

@@ -7,7 +7,13 @@ from jaxtyping import Float
 
 from autoreg.camera import Camera
 from autoreg.geometry import angle_between_rotations
-from autoreg.ground.ground_planes import THOROUGH, ground_planes, ground_planes_unknown_focal, like_wall
+from autoreg.ground.ground_planes import (
+    THOROUGH,
+    ground_planes,
+    ground_planes_unknown_focal,
+    grounds_along,
+    like_wall,
+)
 from autoreg.paving.plane_combs import Hypothesis
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
@@ -17,6 +23,9 @@ HYPOTHESES, HYPOTHESES_NO_FOCAL = 8, 12
 # ... and with a camera, where those show nothing, together with these. Grounds nearer to each other than this
 # are one.
 THOROUGHLY, ALIKE_RAD = 24, np.radians(1.0)
+# Where one direction has so large a share of the edges, as a grain of wood has, grounds are turned about it
+# by so much at a time: a degree beside the true one the joints are nearly as clear.
+GRAIN_SHARE, TURN_RAD = 0.5, np.radians(2.0)
 # What is known of an uncalibrated camera's first radial distortion coefficient, which curved joints tell.
 RADIAL_SIGMA = 0.1
 
@@ -56,6 +65,18 @@ def hypothesised_thoroughly(
     found = ground_planes(segments, camera, max_hypotheses=THOROUGHLY, effort=THOROUGH)
     new = [h.R for h in found if not any(_alike(h.R, R) for _, R in before)]
     return [(camera, R) for R in new if walls or not like_wall(R)][: THOROUGHLY - len(before)]
+
+
+def hypothesised_along_grain(segments: Segments, camera: Camera, *, walls: bool = True) -> list[Hypothesis]:
+    """All grounds along a direction that most edges have, for joints which those of a grain outnumber.
+
+    Args:
+        segments: of the photo.
+        camera: its camera.
+        walls: whether grounds that look like a wall seen from the front are among them.
+    """
+    found = grounds_along(segments, camera, least_share=GRAIN_SHARE, step_rad=TURN_RAD)
+    return [(camera, R) for R in found if walls or not like_wall(R)]
 
 
 def _alike(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> bool:
