@@ -100,3 +100,43 @@ def test_the_ground_before_a_wall_is_found_where_the_wall_is_plainer():
 )
 def test_grounds_seen_from_the_front_and_level_look_like_walls(pitch: float, heading: float, expected: bool):
     assert like_wall(look_at_ground(pitch_deg=pitch, height_m=1.6, heading_deg=heading).R) == expected
+
+
+def tiles(side_m: float, contrast: float) -> np.ndarray:
+    """Square tiles, whose joints are so much darker."""
+    picture, side = stones(6), round(side_m * PX_PER_M)
+    picture[np.arange(SIDE_PX) % side < 2] -= contrast
+    picture[:, np.arange(SIDE_PX) % side < 2] -= contrast
+    return picture
+
+
+def aslant(roll_deg: float) -> Rigid:
+    """The pose of a camera that looks down on a wall, and past it."""
+    return look_at_ground(pitch_deg=22.0, height_m=1.6, heading_deg=27.0, roll_deg=roll_deg)
+
+
+@pytest.mark.parametrize("roll_deg", [0.3, 4.5])
+def test_the_floor_before_a_tiled_wall_that_faces_aside_is_found_where_the_wall_is_plainer(roll_deg: float):
+    pose = aslant(roll_deg)
+    photo = wall_beyond(tiles(0.3, 25.0), tiles(0.2, 90.0), pose, 2.6)
+    found = align(photo, CAMERA).pose.cam_from_ground.R
+    assert np.rad2deg(np.arccos(found[:, 2] @ pose.R[:, 2])) < 0.3
+
+
+def test_a_tiled_wall_that_faces_aside_is_refused_where_no_ground_is_seen_before_it():
+    with pytest.raises(Refusal) as refused:
+        align(wall_beyond(stones(), tiles(0.2, 90.0), aslant(0.3), 2.6), CAMERA)
+    assert refused.value.code == "not_ground"
+
+
+@pytest.mark.parametrize(("pitch", "refuse"), [(95.0, False), (112.0, True)])
+def test_squares_that_recede_downwards_are_a_walls_beyond_what_a_look_at_ones_feet_allows(
+    pitch: float, refuse: bool
+):
+    photo = wall_beyond(tiles(0.2, 60.0), stones(), look_at_ground(pitch_deg=pitch, height_m=1.6), 50.0)
+    if not refuse:
+        assert align(photo, CAMERA).lattice.kind == "stack"
+        return
+    with pytest.raises(Refusal) as refused:
+        align(photo, CAMERA)
+    assert refused.value.code == "not_ground"

@@ -139,10 +139,20 @@ def grounds_along(
 def like_wall(R: Float[np.ndarray, "3 3"]) -> bool:
     """Whether a ground looks like a wall: its joints lie level in the picture, and it faces the camera.
 
-    Or its horizon lies below, as that of a wall does which the camera looks down on.
+    Or its horizon lies below, as that of a wall does which the camera looks down on, or to a side.
     """
     level = np.abs(R[0, :2]).min() < np.sin(LEVEL_RAD)
-    return bool(level and (-R[2, 2] > np.cos(FRONTAL_RAD) or R[1, 2] > 0))
+    aside = np.abs(R[0, 2]) > np.abs(R[1, 2])
+    return bool(level and (-R[2, 2] > np.cos(FRONTAL_RAD) or R[1, 2] > 0 or aside))
+
+
+def stands_plumb(R: Float[np.ndarray, "*k 3 3"], within_rad: float = PLUMB_RAD) -> Bool[np.ndarray, "*k"]:
+    """Whether planes seen aslant face to a side, with joints that are plumb in the picture, as walls do."""
+    up, joints = R[..., 2], R[..., :2]
+    upright = np.abs(joints[..., 1, :]).max(-1) > 0.7
+    plumb = upright & (np.abs(joints[..., 0, :]).min(-1) < np.sin(within_rad))
+    sideways = np.abs(up[..., 0]) > np.abs(up[..., 1])
+    return (np.abs(up[..., 2]) < np.cos(FRONTAL_RAD)) & sideways & plumb
 
 
 @dataclass(frozen=True)
@@ -242,11 +252,7 @@ def _possible_up(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
 
 
 def _possible(R: Float[np.ndarray, "k 3 3"]) -> Bool[np.ndarray, " k"]:
-    up, joints = R[:, :, 2], R[:, :, :2]
-    plumb = (np.abs(joints[:, 1]).max(1) > 0.7) & (np.abs(joints[:, 0]).min(1) < np.sin(PLUMB_RAD))
-    sideways = np.abs(up[:, 0]) > np.abs(up[:, 1])
-    wall = (np.abs(up[:, 2]) < np.cos(FRONTAL_RAD)) & sideways & plumb
-    return _possible_up(up) & ~wall
+    return _possible_up(R[:, :, 2]) & ~stands_plumb(R)
 
 
 def _canonical(R: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3 3"]:
