@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
-from autoreg.ground.ground_planes import FRONTAL_RAD, LEVEL_RAD, stands_plumb
+from autoreg.ground.ground_planes import FRONTAL_RAD, LEVEL_RAD, MAX_ROLL_RAD, like_upright_wall
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows.rows import Rows
@@ -19,8 +19,6 @@ FEW_SIDES = 16
 # joints.
 FRONTAL_SIGMAS = 1.5
 FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(LEVEL_RAD))
-# Who photographs the ground at their feet may tilt the camera beyond straight down by so much.
-BEYOND_DOWN_DEG = 10.0
 # A picture that spans fewer grey levels, but for a hundredth of it at either end, shows nothing. Joints of a
 # contrast of five levels are found.
 LEAST_LEVELS = 3.0
@@ -101,12 +99,12 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
     """The refusal of courses seen from the front, level in the picture: a brick wall as likely as a floor.
 
     With the pose's covariance those that may as well be seen from the front are refused too, and so is what
-    recedes downwards: the wall below the eye of somebody who looks down. So is that of a wall which faces to
-    a side.
+    recedes downwards: the wall below the eye of somebody who looks down. So is what is ground only for a
+    camera that was rolled far, and a wall for one that was held upright.
     """
     R = fit.cam_from_ground.R
-    if stands_plumb(R):
-        return _plumb(R)
+    if like_upright_wall(R):
+        return _upright(R)
     tilt = float(np.arccos(np.clip(-R[2, 2], -1.0, 1.0)))
     tilt_deg = float(np.rad2deg(tilt))
     if covariance is not None:
@@ -116,10 +114,8 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
         tilt_deg -= FRONTAL_SIGMAS * float(np.rad2deg(sigma))
     skew_deg = float(np.rad2deg(np.arcsin(np.abs(R[0, :2]).min())))
     stack = fit.grid.spacing_x is not None and fit.grid.shift == 0.0
-    if skew_deg > LEVEL_DEG:
+    if stack or skew_deg > LEVEL_DEG:
         return None
-    if stack:
-        return _upside_down(R) if R[1, 2] > np.sin(np.radians(BEYOND_DOWN_DEG)) else None
     if tilt_deg > FRONTAL_DEG:
         return _upside_down(R) if R[1, 2] > 0 else None
     return Refusal(
@@ -132,14 +128,16 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
     )
 
 
-def _plumb(R: Float[np.ndarray, "3 3"]) -> Refusal:
-    """The refusal of joints that are plumb in the picture, on a plane that faces to a side."""
-    aside_deg = float(np.rad2deg(np.arcsin(np.abs(R[0, 2]))))
+def _upright(R: Float[np.ndarray, "3 3"]) -> Refusal:
+    """The refusal of joints that stand upright in the picture, on a plane that is no ground unless rolled."""
+    roll_deg = float(np.rad2deg(np.abs(np.arctan2(R[0, 2], -R[1, 2]))))
     return Refusal(
         "not_ground",
-        f"these joints are plumb in the picture, on a plane that faces aside ({aside_deg:.0f} degrees), as "
-        "those of a wall are; photograph the ground",
-        measured=round(aside_deg, 1),
+        f"these joints stand upright in the picture as those of a wall do, and are the ground's only if the "
+        f"camera was rolled by {roll_deg:.0f} degrees; turn the photo if it does not stand upright, or "
+        "photograph the ground",
+        measured=round(roll_deg, 1),
+        limit=round(float(np.rad2deg(MAX_ROLL_RAD)), 1),
     )
 
 
