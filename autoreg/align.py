@@ -19,6 +19,7 @@ from autoreg.answer.conclude import (
     metric_scale,
     scaled_covariance,
     unsure,
+    upright,
 )
 from autoreg.answer.full_resolution import REACH, Laid
 from autoreg.answer.last_step import rested
@@ -180,5 +181,6 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
         warnings=(
             *unsure(answer, source, slab_told=task.slab is not None),
             *(() if unlike is None else (unlike.warning,)),
+            *upright(fit),
         ),
     )

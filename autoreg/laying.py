@@ -8,7 +8,7 @@ from autoreg.answer.refusals import maybe_wall
 from autoreg.errors import Refusal
 from autoreg.fields import largest_field, same_ground
 from autoreg.fitting.fit import Fit
-from autoreg.ground.ground_planes import DOUBTFUL_RAD, like_upright_wall
+from autoreg.ground.ground_planes import like_upright_wall
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.rows.cross_joints import common_lean
 from autoreg.rows.rows import Rows
@@ -72,14 +72,15 @@ def camera_to_blame(task: Task, found: Paving | None = None) -> Refusal | None:
 def _found(task: Task) -> Paving | Rows:
     """The paving at detection scale; if that may be a wall, the one on the ground before it.
 
-    What lies at somebody's feet may look like a wall as well, and is ground if there is no other.
+    What lies at somebody's feet, or is held up, may look like a wall as well, and is taken if there is no
+    other.
 
     Raises:
         Refusal: there is none, or none that may not be a wall.
     """
     found = find_paving(task.sight, task.camera, task.slab)
     wall = maybe_wall(_fit_of(found))
-    if wall is None and not like_upright_wall(_fit_of(found).cam_from_ground.R, DOUBTFUL_RAD):
+    if wall is None and not like_upright_wall(_fit_of(found).cam_from_ground.R):
         return found
     try:
         before = find_paving(task.sight, task.camera, task.slab, walls=False)

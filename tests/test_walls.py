@@ -8,7 +8,7 @@ from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid, angle_between_rotations
-from autoreg.ground.ground_planes import like_wall
+from autoreg.ground.ground_planes import like_upright_wall, like_wall, roll_deg
 from autoreg.synthetic import look_at_ground
 
 CAMERA = Camera.from_focal(960, 720, 900.0)
@@ -129,14 +129,29 @@ def test_a_tiled_wall_that_faces_aside_is_refused_where_no_ground_is_seen_before
     assert refused.value.code == "not_ground"
 
 
-@pytest.mark.parametrize(("pitch", "refuse"), [(95.0, False), (112.0, True)])
-def test_squares_that_recede_downwards_are_a_walls_beyond_what_a_look_at_ones_feet_allows(
-    pitch: float, refuse: bool
+@pytest.mark.parametrize(("pitch", "wondered"), [(95.0, False), (112.0, True), (60.0, False)])
+def test_squares_that_recede_downwards_beyond_what_a_look_at_ones_feet_allows_are_wondered_at(
+    pitch: float, wondered: bool
 ):
     photo = wall_beyond(tiles(0.2, 60.0), stones(), look_at_ground(pitch_deg=pitch, height_m=1.6), 50.0)
-    if not refuse:
-        assert align(photo, CAMERA).lattice.kind == "stack"
-        return
+    found = align(photo, CAMERA)
+    assert found.lattice.kind == "stack"
+    assert any("wall" in said for said in found.warnings) == wondered
+
+
+def test_courses_that_recede_downwards_are_a_walls_though_the_camera_was_rolled():
     with pytest.raises(Refusal) as refused:
-        align(photo, CAMERA)
+        align(wall_beyond(stones(), bricks(), aslant(7.5), 2.6), CAMERA)
     assert refused.value.code == "not_ground"
+
+
+@pytest.mark.parametrize(
+    ("pitch", "heading", "roll", "expected"),
+    [(60.0, 20.0, 10.0, False), (60.0, 3.0, 94.0, True), (60.0, 40.0, 90.0, False), (85.0, 3.0, 94.0, False)],
+)
+def test_what_is_ground_only_for_a_camera_rolled_far_is_like_a_wall_if_its_joints_stand_upright(
+    pitch: float, heading: float, roll: float, expected: bool
+):
+    pose = look_at_ground(pitch_deg=pitch, height_m=1.6, heading_deg=heading, roll_deg=roll)
+    assert like_upright_wall(pose.R) == expected
+    assert roll_deg(pose.R) == pytest.approx(roll, abs=1.0)

@@ -7,7 +7,14 @@ from jaxtyping import Float
 
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
-from autoreg.ground.ground_planes import FRONTAL_RAD, LEVEL_RAD, MAX_ROLL_RAD, like_upright_wall
+from autoreg.ground.ground_planes import (
+    FRONTAL_RAD,
+    LEVEL_RAD,
+    MAX_ROLL_RAD,
+    like_upright_wall,
+    roll_deg,
+    stands_plumb,
+)
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows.rows import Rows
@@ -99,12 +106,11 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
     """The refusal of courses seen from the front, level in the picture: a brick wall as likely as a floor.
 
     With the pose's covariance those that may as well be seen from the front are refused too, and so is what
-    recedes downwards: the wall below the eye of somebody who looks down. So is what is ground only for a
-    camera that was rolled far, and a wall for one that was held upright.
+    recedes downwards: the wall below the eye of somebody who looks down. So are courses that are ground only
+    for a camera that was rolled far, and a wall for one that was held upright, and squares whose joints are
+    plumb. Other squares may be those of a board that somebody holds up.
     """
     R = fit.cam_from_ground.R
-    if like_upright_wall(R):
-        return _upright(R)
     tilt = float(np.arccos(np.clip(-R[2, 2], -1.0, 1.0)))
     tilt_deg = float(np.rad2deg(tilt))
     if covariance is not None:
@@ -114,6 +120,8 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
         tilt_deg -= FRONTAL_SIGMAS * float(np.rad2deg(sigma))
     skew_deg = float(np.rad2deg(np.arcsin(np.abs(R[0, :2]).min())))
     stack = fit.grid.spacing_x is not None and fit.grid.shift == 0.0
+    if stands_plumb(R) or (not stack and tilt_deg > FRONTAL_DEG and like_upright_wall(R)):
+        return _upright(R)
     if stack or skew_deg > LEVEL_DEG:
         return None
     if tilt_deg > FRONTAL_DEG:
@@ -130,13 +138,12 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
 
 def _upright(R: Float[np.ndarray, "3 3"]) -> Refusal:
     """The refusal of joints that stand upright in the picture, on a plane that is no ground unless rolled."""
-    roll_deg = float(np.rad2deg(np.abs(np.arctan2(R[0, 2], -R[1, 2]))))
     return Refusal(
         "not_ground",
         f"these joints stand upright in the picture as those of a wall do, and are the ground's only if the "
-        f"camera was rolled by {roll_deg:.0f} degrees; turn the photo if it does not stand upright, or "
+        f"camera was rolled by {roll_deg(R):.0f} degrees; turn the photo if it does not stand upright, or "
         "photograph the ground",
-        measured=round(roll_deg, 1),
+        measured=round(roll_deg(R), 1),
         limit=round(float(np.rad2deg(MAX_ROLL_RAD)), 1),
     )
 

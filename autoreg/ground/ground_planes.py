@@ -25,13 +25,12 @@ from autoreg.segments import Segments
 # A camera is not rolled further than this, unless it looks down so steeply that roll means nothing.
 MAX_ROLL_RAD = np.radians(50.0)
 STEEP_RAD = np.radians(42.0)
-# Courses seen less aslant than this, and level in the picture, may be a wall's seen from the front.
-FRONTAL_RAD = np.radians(25.0)
-# A plane seen more aslant than this is taken for a wall where it would be ground only for a camera that was
-# rolled farther, and has joints that stand upright for one that was rolled by no more than this.
-ASLANT_RAD, UPRIGHT_RAD = np.radians(20.0), np.radians(15.0)
-# Less aslant it may be ground by somebody's feet; from here on another ground comes first, if there is any.
-DOUBTFUL_RAD = np.radians(8.0)
+# Beyond this a plane seen steeply is taken for a wall if it faces to a side, and a joint direction is plumb
+# in the picture: a camera held level shows walls so.
+FRONTAL_RAD, PLUMB_RAD = np.radians(25.0), np.radians(2.5)
+# A plane seen more aslant than the first is like a wall's where it would be ground only for a camera that was
+# rolled farther, and has joints that stand upright for one that was rolled by no more than the second.
+ASLANT_RAD, UPRIGHT_RAD = np.radians(8.0), np.radians(15.0)
 # Hands hold cameras level to so much.
 LEVEL_RAD = np.radians(6.0)
 # So many of another direction than the strongest one take part in any case.
@@ -147,16 +146,28 @@ def like_wall(R: Float[np.ndarray, "3 3"]) -> bool:
     """
     level = np.abs(R[0, :2]).min() < np.sin(LEVEL_RAD)
     facing = level and (-R[2, 2] > np.cos(FRONTAL_RAD) or R[1, 2] > 0)
-    return bool(facing or like_upright_wall(R, DOUBTFUL_RAD))
+    return bool(facing or like_upright_wall(R))
 
 
-def like_upright_wall(
-    R: Float[np.ndarray, "*k 3 3"], aslant_rad: float = ASLANT_RAD
-) -> Bool[np.ndarray, "*k"]:
-    """Whether planes seen more aslant are ground for a camera rolled far, and walls for one held upright."""
-    up, x, y = R[..., 2], R[..., 0, :2], np.abs(R[..., 1, :2])
-    upright = ((y > np.sqrt(0.5)) & (np.abs(x) < np.tan(UPRIGHT_RAD) * y)).any(-1)
-    return (-up[..., 2] < np.cos(aslant_rad)) & ~_hardly_rolled(up) & upright
+def stands_plumb(R: Float[np.ndarray, "*k 3 3"]) -> Bool[np.ndarray, "*k"]:
+    """Whether planes seen aslant face to a side, with joints that are plumb in the picture, as walls do."""
+    up, joints = R[..., 2], R[..., :2]
+    upright = np.abs(joints[..., 1, :]).max(-1) > 0.7
+    plumb = upright & (np.abs(joints[..., 0, :]).min(-1) < np.sin(PLUMB_RAD))
+    sideways = np.abs(up[..., 0]) > np.abs(up[..., 1])
+    return (np.abs(up[..., 2]) < np.cos(FRONTAL_RAD)) & sideways & plumb
+
+
+def roll_deg(R: Float[np.ndarray, "3 3"]) -> float:
+    """How far a camera is rolled that sees a ground so: 180 degrees where its horizon lies below."""
+    return float(np.rad2deg(np.abs(np.arctan2(R[0, 2], -R[1, 2]))))
+
+
+def like_upright_wall(R: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether a plane is ground only for a camera that was rolled far, and a wall for one held upright."""
+    up, x, y = R[:, 2], R[0, :2], np.abs(R[1, :2])
+    upright = ((y > np.sqrt(0.5)) & (np.abs(x) < np.tan(UPRIGHT_RAD) * y)).any()
+    return bool(-up[2] < np.cos(ASLANT_RAD) and not _hardly_rolled(up) and upright)
 
 
 @dataclass(frozen=True)
@@ -260,7 +271,7 @@ def _hardly_rolled(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
 
 
 def _possible(R: Float[np.ndarray, "k 3 3"]) -> Bool[np.ndarray, " k"]:
-    return _possible_up(R[:, :, 2]) & ~like_upright_wall(R)
+    return _possible_up(R[:, :, 2]) & ~stands_plumb(R)
 
 
 def _canonical(R: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3 3"]:
