@@ -80,17 +80,21 @@ def _found(task: Task) -> Paving | Rows:
     """
     found = find_paving(task.sight, task.camera, task.slab)
     wall = maybe_wall(_fit_of(found))
-    if wall is None and not like_upright_wall(_fit_of(found).cam_from_ground.R):
+    if wall is None and not _like_wall(found):
         return found
     try:
         before = find_paving(task.sight, task.camera, task.slab, walls=False)
     except Refusal:
         before = None
-    if before is not None and maybe_wall(_fit_of(before)) is None:
+    if before is not None and maybe_wall(_fit_of(before)) is None and not _like_wall(before):
         return before
     if wall is not None:
         raise wall
     return found
+
+
+def _like_wall(found: Paving | Rows) -> bool:
+    return like_upright_wall(_fit_of(found).cam_from_ground.R)
 
 
 def _fit_of(found: Paving | Rows) -> Fit:

@@ -13,7 +13,6 @@ from autoreg.ground.ground_planes import (
     MAX_ROLL_RAD,
     like_upright_wall,
     roll_deg,
-    stands_plumb,
 )
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import RIVAL_NATS, TESTED_NATS, Paving
@@ -107,8 +106,8 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
 
     With the pose's covariance those that may as well be seen from the front are refused too, and so is what
     recedes downwards: the wall below the eye of somebody who looks down. So are courses that are ground only
-    for a camera that was rolled far, and a wall for one that was held upright, and squares whose joints are
-    plumb. Other squares may be those of a board that somebody holds up.
+    for a camera that was rolled far, and a wall for one that was held upright. Squares may be those of a
+    board that somebody holds up.
     """
     R = fit.cam_from_ground.R
     tilt = float(np.arccos(np.clip(-R[2, 2], -1.0, 1.0)))
@@ -120,9 +119,11 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
         tilt_deg -= FRONTAL_SIGMAS * float(np.rad2deg(sigma))
     skew_deg = float(np.rad2deg(np.arcsin(np.abs(R[0, :2]).min())))
     stack = fit.grid.spacing_x is not None and fit.grid.shift == 0.0
-    if stands_plumb(R) or (not stack and tilt_deg > FRONTAL_DEG and like_upright_wall(R)):
+    if stack:
+        return None
+    if tilt_deg > FRONTAL_DEG and like_upright_wall(R):
         return _upright(R)
-    if stack or skew_deg > LEVEL_DEG:
+    if skew_deg > LEVEL_DEG:
         return None
     if tilt_deg > FRONTAL_DEG:
         return _upside_down(R) if R[1, 2] > 0 else None
