@@ -139,6 +139,11 @@ def grounds_along(
     return R[_possible(R)]
 
 
+def may_be_ground(R: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether a camera may see a ground so that is held upright, or looks down steeply."""
+    return bool(_possible_up(R[:, 2]))
+
+
 def like_wall(R: Float[np.ndarray, "3 3"]) -> bool:
     """Whether a ground looks like a wall: its joints lie level in the picture, and it faces the camera.
 

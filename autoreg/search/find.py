@@ -9,6 +9,7 @@ from autoreg.answer.refusals import ambiguous, no_lattice, without_contrast
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.directions import camera_rays, strongest_share
+from autoreg.ground.ground_planes import may_be_ground
 from autoreg.ground.sight import Sight
 from autoreg.paving.lattice_choice import suited
 from autoreg.paving.lattice_evidence import Paving, rival
@@ -87,7 +88,7 @@ def find_paving(
             lambda: hypothesised_along_grain(segments, camera, walls=walls),
         )
         tried = (lay_promising(looks, segments, grounds(), lay) for grounds in further)
-        others = next((laid for laid in tried if laid and laid[0].margin_nats > 0), ())
+        others = next((laid for laid in tried if _is_ground(laid)), ())
     if others and others[0].margin_nats > 0:
         return _unrivalled(others)
     fields = fields_of_rows(looks, segments, sight.size, planes)
@@ -98,6 +99,16 @@ def find_paving(
     if rows is None:
         raise _no_paving(sight, camera, best, fields)
     return rows
+
+
+def _is_ground(pavings: tuple[Paving, ...]) -> bool:
+    """Whether the first of some lattices does better than chance, on what may be ground.
+
+    From a ground that may, the joints may have led to one that may not.
+    """
+    if not pavings or pavings[0].margin_nats <= 0:
+        return False
+    return may_be_ground(pavings[0].fit.cam_from_ground.R)
 
 
 def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving | None:
