@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from autoreg.answer.camera_refusals import leaning
 from autoreg.answer.full_resolution import Laid, measured_rows, measured_slabs
 from autoreg.answer.refusals import maybe_wall
 from autoreg.errors import Refusal
 from autoreg.fields import largest_field, same_ground
 from autoreg.fitting.fit import Fit
-from autoreg.ground.ground_planes import like_upright_wall
+from autoreg.ground.upright import like_upright_wall
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.rows.cross_joints import common_lean
 from autoreg.rows.rows import Rows
 from autoreg.search.find import find_paving, find_rows
 from autoreg.search.glance import other_camera
 from autoreg.task import Task
+
+# A wall stands at a right angle on the ground; by a wrong focal length at one that is larger than this.
+ACROSS_RAD = np.radians(45.0)
 
 
 def lay(task: Task) -> Laid:
@@ -86,7 +91,7 @@ def _found(task: Task) -> Paving | Rows:
         before = find_paving(task.sight, task.camera, task.slab, walls=False)
     except Refusal:
         before = None
-    if before is not None and maybe_wall(_fit_of(before)) is None and not _like_wall(before):
+    if before is not None and maybe_wall(_fit_of(before)) is None and _across(found, before):
         return before
     if wall is not None:
         raise wall
@@ -95,6 +100,12 @@ def _found(task: Task) -> Paving | Rows:
 
 def _like_wall(found: Paving | Rows) -> bool:
     return like_upright_wall(_fit_of(found).cam_from_ground.R)
+
+
+def _across(wall: Paving | Rows, before: Paving | Rows) -> bool:
+    """Whether one lies before the other as ground before a wall, and is none itself."""
+    one, other = (_fit_of(found).cam_from_ground.R[:, 2] for found in (wall, before))
+    return bool(np.arccos(np.clip(one @ other, -1.0, 1.0)) > ACROSS_RAD) and not _like_wall(before)
 
 
 def _fit_of(found: Paving | Rows) -> Fit:

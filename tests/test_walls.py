@@ -8,7 +8,7 @@ from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid, angle_between_rotations
-from autoreg.ground.ground_planes import like_upright_wall, like_wall, roll_deg
+from autoreg.ground.upright import like_upright_wall, like_wall, roll_deg
 from autoreg.synthetic import look_at_ground
 
 CAMERA = Camera.from_focal(960, 720, 900.0)

@@ -14,10 +14,10 @@ from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import quarter_turns
-from autoreg.ground.ground_planes import like_upright_wall, roll_deg
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.stations import joints_of
+from autoreg.ground.upright import like_upright_wall, roll_deg
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.paving.presence import Presence
 from autoreg.spread import spread_about

@@ -7,13 +7,7 @@ from jaxtyping import Float
 
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
-from autoreg.ground.ground_planes import (
-    FRONTAL_RAD,
-    LEVEL_RAD,
-    MAX_ROLL_RAD,
-    like_upright_wall,
-    roll_deg,
-)
+from autoreg.ground.upright import FRONTAL_RAD, LEVEL_RAD, MAX_ROLL_RAD, like_upright_wall, roll_deg
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import RIVAL_NATS, TESTED_NATS, Paving
 from autoreg.rows.rows import Rows

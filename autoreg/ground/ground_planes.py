@@ -20,19 +20,9 @@ from autoreg.ground.directions import (
     strongest_share,
 )
 from autoreg.ground.frames import FrameFit, fit_step, frames_of_pairs, frames_through, image_dirs, memberships
+from autoreg.ground.upright import possible_up, stands_plumb, upside_down
 from autoreg.segments import Segments
 
-# A camera is not rolled further than this, unless it looks down so steeply that roll means nothing.
-MAX_ROLL_RAD = np.radians(50.0)
-STEEP_RAD = np.radians(42.0)
-# Beyond this a plane seen steeply is taken for a wall if it faces to a side, and a joint direction is plumb
-# in the picture: a camera held level shows walls so.
-FRONTAL_RAD, PLUMB_RAD = np.radians(25.0), np.radians(2.5)
-# A plane seen more aslant than the first is like a wall's where it would be ground only for a camera that was
-# rolled farther, and has joints that stand upright for one that was rolled by no more than the second.
-ASLANT_RAD, UPRIGHT_RAD = np.radians(8.0), np.radians(15.0)
-# Hands hold cameras level to so much.
-LEVEL_RAD = np.radians(6.0)
 # So many of another direction than the strongest one take part in any case.
 OTHER_VOTERS = 150
 # A plane seen more steeply than this may be a wall seen from the front as well.
@@ -139,42 +129,6 @@ def grounds_along(
     return R[_possible(R)]
 
 
-def may_be_ground(R: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether a camera may see a ground so that is held upright, or looks down steeply."""
-    return bool(_possible_up(R[:, 2]))
-
-
-def like_wall(R: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether a ground looks like a wall: its joints lie level in the picture, and it faces the camera.
-
-    Or its horizon lies below, as that of a wall does which the camera looks down on, or to a side.
-    """
-    level = np.abs(R[0, :2]).min() < np.sin(LEVEL_RAD)
-    facing = level and (-R[2, 2] > np.cos(FRONTAL_RAD) or R[1, 2] > 0)
-    return bool(facing or like_upright_wall(R))
-
-
-def stands_plumb(R: Float[np.ndarray, "*k 3 3"]) -> Bool[np.ndarray, "*k"]:
-    """Whether planes seen aslant face to a side, with joints that are plumb in the picture, as walls do."""
-    up, joints = R[..., 2], R[..., :2]
-    upright = np.abs(joints[..., 1, :]).max(-1) > 0.7
-    plumb = upright & (np.abs(joints[..., 0, :]).min(-1) < np.sin(PLUMB_RAD))
-    sideways = np.abs(up[..., 0]) > np.abs(up[..., 1])
-    return (np.abs(up[..., 2]) < np.cos(FRONTAL_RAD)) & sideways & plumb
-
-
-def roll_deg(R: Float[np.ndarray, "3 3"]) -> float:
-    """How far a camera is rolled that sees a ground so: 180 degrees where its horizon lies below."""
-    return float(np.rad2deg(np.abs(np.arctan2(R[0, 2], -R[1, 2]))))
-
-
-def like_upright_wall(R: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether a plane is ground only for a camera that was rolled far, and a wall for one held upright."""
-    up, x, y = R[:, 2], R[0, :2], np.abs(R[1, :2])
-    upright = ((y > np.sqrt(0.5)) & (np.abs(x) < np.tan(UPRIGHT_RAD) * y)).any()
-    return bool(-up[2] < np.cos(ASLANT_RAD) and not _hardly_rolled(up) and upright)
-
-
 @dataclass(frozen=True)
 class _Found:
     fit: FrameFit
@@ -254,34 +208,18 @@ def _lies_on_ground(
     normal: Float[np.ndarray, "k n 3"], ends: Float[np.ndarray, "k n 2 3"]
 ) -> Bool[np.ndarray, "k n"]:
     """Whether segments lie below the horizon of a plane, one for each, that can be a ground."""
-    up = np.where(_upside_down(normal)[..., None], -normal, normal)
+    up = np.where(upside_down(normal)[..., None], -normal, normal)
     height = np.einsum("knej,knj->kne", ends, up)
-    return (np.maximum(height[..., 0], height[..., 1]) < -MIN_DEPRESSION) & _possible_up(up)
-
-
-def _upside_down(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
-    """Whether a plane's normal points away from a camera that stands above it."""
-    steep = np.abs(up[..., 2]) > np.cos(STEEP_RAD)
-    return np.where(steep, up[..., 2] > 0, up[..., 1] > 0)
-
-
-def _possible_up(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
-    """Whether the normal of a ground, pointing to the camera's side, has a roll that cameras have."""
-    return (up[..., 2] < -np.cos(STEEP_RAD)) | _hardly_rolled(up)
-
-
-def _hardly_rolled(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
-    """Whether the normal of a ground points up in the picture, as that of an upright camera's does."""
-    return np.abs(up[..., 0]) < np.tan(MAX_ROLL_RAD) * -up[..., 1]
+    return (np.maximum(height[..., 0], height[..., 1]) < -MIN_DEPRESSION) & possible_up(up)
 
 
 def _possible(R: Float[np.ndarray, "k 3 3"]) -> Bool[np.ndarray, " k"]:
-    return _possible_up(R[:, :, 2]) & ~stands_plumb(R)
+    return possible_up(R[:, :, 2]) & ~stands_plumb(R)
 
 
 def _canonical(R: Float[np.ndarray, "k 3 3"]) -> Float[np.ndarray, "k 3 3"]:
     """The same frames turned by quarter turns until +Y points most away from the camera, Z to its side."""
-    up = np.where(_upside_down(R[:, :, 2])[:, None], -R[:, :, 2], R[:, :, 2])
+    up = np.where(upside_down(R[:, :, 2])[:, None], -R[:, :, 2], R[:, :, 2])
     # Away is forward for a level camera and up in the picture for one that looks straight down.
     away = np.array([0.0, -1.0, 1.0])
     ways = np.stack([R[:, :, 0], R[:, :, 1], -R[:, :, 0], -R[:, :, 1]], 1)

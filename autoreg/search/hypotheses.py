@@ -7,13 +7,8 @@ from jaxtyping import Float
 
 from autoreg.camera import Camera
 from autoreg.geometry import angle_between_rotations
-from autoreg.ground.ground_planes import (
-    THOROUGH,
-    ground_planes,
-    ground_planes_unknown_focal,
-    grounds_along,
-    like_wall,
-)
+from autoreg.ground.ground_planes import THOROUGH, ground_planes, ground_planes_unknown_focal, grounds_along
+from autoreg.ground.upright import like_wall
 from autoreg.paving.plane_combs import Hypothesis
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
