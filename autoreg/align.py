@@ -19,11 +19,10 @@ from autoreg.answer.conclude import (
     metric_scale,
     scaled_covariance,
     unsure,
-    upright,
 )
 from autoreg.answer.full_resolution import REACH, Laid
 from autoreg.answer.last_step import rested
-from autoreg.answer.refusals import on_its_side
+from autoreg.answer.refusals import on_its_side, upright
 from autoreg.answer.slab_shape import plausible_focal, strain, unlike_slab
 from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera

@@ -17,7 +17,6 @@ from autoreg.ground.ground_frame import quarter_turns
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.stations import joints_of
-from autoreg.ground.upright import like_upright_wall, roll_deg
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.paving.presence import Presence
 from autoreg.spread import spread_about
@@ -246,15 +245,4 @@ def unsure(pose: Pose, source: CameraSource, *, slab_told: bool) -> tuple[str, .
         f"no camera file was given, and how the camera is turned is known to ± {turn_deg:.1f}° only (one "
         "standard deviation): the lines lie on the joints, but what stands on the ground may lean, or look "
         f"too tall or too low; give the camera with --camera{by_slab}",
-    )
-
-
-def upright(fit: Fit) -> tuple[str, ...]:
-    """The warning of a lattice that may be a wall's, where no other ground was found."""
-    if not like_upright_wall(fit.cam_from_ground.R):
-        return ()
-    return (
-        f"these joints stand upright in the picture as those of a wall do, and are the ground's only if the "
-        f"camera was rolled by {roll_deg(fit.cam_from_ground.R):.0f} degrees: look at overlay.png, and "
-        "photograph the ground if it is a wall",
     )

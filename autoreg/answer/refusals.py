@@ -19,6 +19,7 @@ FEW_SIDES = 16
 # joints.
 FRONTAL_SIGMAS = 1.5
 FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(LEVEL_RAD))
+
 # A picture that spans fewer grey levels, but for a hundredth of it at either end, shows nothing. Joints of a
 # contrast of five levels are found.
 LEAST_LEVELS = 3.0
@@ -135,11 +136,24 @@ def _upright(R: Float[np.ndarray, "3 3"]) -> Refusal:
     """The refusal of joints that stand upright in the picture, on a plane that is no ground unless rolled."""
     return Refusal(
         "not_ground",
-        f"these joints stand upright in the picture as those of a wall do, and are the ground's only if the "
-        f"camera was rolled by {roll_deg(R):.0f} degrees; turn the photo if it does not stand upright, or "
-        "photograph the ground",
+        f"{_said_upright(R)}; turn the photo if it does not stand upright, or photograph the ground",
         measured=round(roll_deg(R), 1),
         limit=round(float(np.rad2deg(MAX_ROLL_RAD)), 1),
+    )
+
+
+def upright(fit: Fit) -> tuple[str, ...]:
+    """The warning of a lattice that may be a wall's, where no other ground was found."""
+    R = fit.cam_from_ground.R
+    if not like_upright_wall(R):
+        return ()
+    return (f"{_said_upright(R)}: look at overlay.png, and photograph the ground if it is a wall",)
+
+
+def _said_upright(R: Float[np.ndarray, "3 3"]) -> str:
+    return (
+        "these joints stand upright in the picture as those of a wall do, and are the ground's only if the "
+        f"camera was rolled by {roll_deg(R):.0f} degrees"
     )
 
 

@@ -134,6 +134,15 @@ def rotations(vectors: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 3 3"]:
     return np.eye(3) + sinc * np.cos(0.5 * angle)[:, None, None] * skew + 0.5 * sinc**2 * skew @ skew
 
 
+def circle_across(
+    dirs: Float[np.ndarray, "k 3"],
+) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
+    """Two unit directions each that span the circle at right angles to unit directions."""
+    first = np.cross(dirs, np.eye(3)[np.abs(dirs).argmin(1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return first, np.cross(dirs, first)
+
+
 MayVote = Callable[[Float[np.ndarray, "k n 3"], Float[np.ndarray, "k n 2 3"]], Bool[np.ndarray, "k n"]]
 
 
@@ -160,9 +169,7 @@ def frames_through(
     votes = np.where(np.tile(free, (len(log_focals), 1)), rays.weight, 0.0)
     d1 = repeated * scale
     d1 /= np.linalg.norm(d1, axis=1, keepdims=True)
-    u = np.cross(d1, np.eye(3)[np.abs(d1).argmin(1)])
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(d1, u)
+    u, v = circle_across(d1)
     # A plane's normal turns with the inverse of the scale that takes its points to another focal length.
     a, b = (u / scale) @ rays.moment.T, (v / scale) @ rays.moment.T
     angle = np.mod(np.arctan2(a, -b), np.pi)

@@ -19,7 +19,15 @@ from autoreg.ground.directions import (
     single_directions,
     strongest_share,
 )
-from autoreg.ground.frames import FrameFit, fit_step, frames_of_pairs, frames_through, image_dirs, memberships
+from autoreg.ground.frames import (
+    FrameFit,
+    circle_across,
+    fit_step,
+    frames_of_pairs,
+    frames_through,
+    image_dirs,
+    memberships,
+)
 from autoreg.ground.upright import possible_up, stands_plumb, upside_down
 from autoreg.segments import Segments
 
@@ -121,10 +129,9 @@ def grounds_along(
         return np.zeros((0, 3, 3))
     strongest = single_directions(rays, _seeds(rays, USUAL.seeds), count=1, apart_rad=np.radians(2.0))
     angle = np.arange(0.0, np.pi, step_rad)
-    first = np.cross(strongest[0], np.eye(3)[np.abs(strongest[0]).argmin()])
-    first /= np.linalg.norm(first)
-    up = np.outer(np.cos(angle), first) + np.outer(np.sin(angle), np.cross(strongest[0], first))
-    along = np.broadcast_to(strongest[0], up.shape)
+    first, second = circle_across(strongest)
+    up = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+    along = np.broadcast_to(strongest, up.shape)
     R = _canonical(np.stack([along, np.cross(up, along), up], 2))
     return R[_possible(R)]
 

@@ -23,7 +23,7 @@ class NormalEquations(NamedTuple):
         last: which are the relief's.
         expected: the relief's prior mean.
         motion: how many unknowns are the motion's.
-        squares: the sum of squares at zero.
+        at_zero: the sum of squares at zero.
         logdet: logarithm of the determinant of the residuals' covariance.
     """
 
@@ -33,7 +33,7 @@ class NormalEquations(NamedTuple):
     last: Int[np.ndarray, " l"]
     expected: Float[np.ndarray, " l"]
     motion: int
-    squares: float
+    at_zero: float
     logdet: float
 
 
@@ -78,7 +78,7 @@ class ReducedEquations(NamedTuple):
         own = H[last][:, last] - across.T @ by_relief
         own[np.diag_indices(len(own))] -= 1.0
         squares, axes = np.linalg.eigh(own)
-        left = full.squares + full.expected @ full.expected - g[full.first] @ alone
+        left = full.at_zero + full.expected @ full.expected - g[full.first] @ alone
         return cls(
             full,
             by_relief,

@@ -199,7 +199,7 @@ class SlabEquations:
         known, mean = self._prior()
         size = self._sized(1.0)
         gradient = self.gram[:-1, -1] * size - known * mean
-        squares = float(self.gram[-1, -1] + known @ mean**2)
+        at_zero = float(self.gram[-1, -1] + known @ mean**2)
         equations = NormalEquations(
             self._matrix(size, known),
             gradient,
@@ -207,7 +207,7 @@ class SlabEquations:
             self.last,
             self.expected,
             len(self.free),
-            squares,
+            at_zero,
             self.logdet,
         )
         return ReducedEquations.of(equations)
