@@ -71,6 +71,26 @@ def test_a_frame_that_lies_upside_down_is_turned_over():
     assert pytest.approx(over.R) == boards.towards_camera(over.R, over.t).R
 
 
+@pytest.mark.parametrize(
+    ("turn_deg", "height_off", "contradicted", "right", "wrong"),
+    [
+        (0.2, 0.01, False, True, False),
+        (0.5, 0.01, False, False, False),
+        (1.5, 0.01, False, False, True),
+        (0.2, 0.25, False, False, True),
+        (1.5, 0.25, True, False, False),
+        (float("nan"), float("nan"), False, False, False),
+    ],
+)
+def test_a_pose_is_right_by_its_rotation_and_its_height(
+    turn_deg: float, height_off: float, contradicted: bool, right: bool, wrong: bool
+):
+    pose = Rigid(np.eye(3), np.array([0.0, 0.0, -1.0]))
+    view = boards.View("set", "0.jpg", np.zeros((4, 4), np.uint8), CAMERA, (1.0, 1.0), pose)
+    outcome = boards.Outcome(view, turn_deg, height_off, contradicted=contradicted)
+    assert (outcome.right, outcome.wrong) == (right, wrong)
+
+
 @pytest.mark.slow
 def test_the_suite_judges_what_align_makes_of_them(drawn: Path, tmp_path: Path):
     found = boards.run(Options(tmp_path, quick=True, chessboards=drawn, groundgrid=tmp_path))
@@ -78,6 +98,7 @@ def test_the_suite_judges_what_align_makes_of_them(drawn: Path, tmp_path: Path):
     assert figures["boards.wrong"] == figures["boards.alarms"] == 0
     assert figures["boards.right"] == pytest.approx(100.0)
     assert figures["boards.turn"] < 0.1
+    assert figures["boards.height"] < 0.5
 
 
 def test_a_floor_is_read_from_its_publishers_file_and_judged_by_its_normal(tmp_path: Path):

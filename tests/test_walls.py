@@ -8,7 +8,7 @@ from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.geometry import Rigid, angle_between_rotations
-from autoreg.ground.upright import like_upright_wall, like_wall, roll_deg
+from autoreg.ground.upright import like_upright_wall, like_wall, possible_up, roll_deg
 from autoreg.synthetic import look_at_ground
 
 CAMERA = Camera.from_focal(960, 720, 900.0)
@@ -154,3 +154,14 @@ def test_what_is_ground_only_for_a_camera_rolled_far_is_like_a_wall_if_its_joint
     pose = look_at_ground(pitch_deg=pitch, height_m=1.6, heading_deg=heading, roll_deg=roll)
     assert like_upright_wall(pose.R) == expected
     assert roll_deg(pose.R) == pytest.approx(roll, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("aside_deg", "possible"), [(30.0, (True, True)), (44.0, (False, True)), (50.0, (False, False))]
+)
+def test_joints_may_lead_from_a_ground_that_a_camera_may_see_to_one_a_little_beyond(
+    aside_deg: float, possible: tuple[bool, bool]
+):
+    aside = np.radians(aside_deg)
+    up = np.array([np.sin(aside), 0.0, -np.cos(aside)])
+    assert (bool(possible_up(up)), bool(possible_up(up, np.radians(5.0)))) == possible

@@ -8,6 +8,8 @@ from jaxtyping import Bool, Float
 # A camera is not rolled further than this, unless it looks down so steeply that roll means nothing.
 MAX_ROLL_RAD = np.radians(50.0)
 STEEP_RAD = np.radians(42.0)
+# Joints may lead from a ground that a camera may see to one that lies this far beyond.
+LED_RAD = np.radians(5.0)
 # Beyond this a plane seen steeply is taken for a wall if it faces to a side, and a joint direction is plumb
 # in the picture: a camera held level shows walls so.
 FRONTAL_RAD, PLUMB_RAD = np.radians(25.0), np.radians(2.5)
@@ -18,9 +20,12 @@ ASLANT_RAD, UPRIGHT_RAD = np.radians(8.0), np.radians(15.0)
 LEVEL_RAD = np.radians(6.0)
 
 
-def possible_up(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
-    """Whether the normal of a ground, pointing to the camera's side, has a roll that cameras have."""
-    return (up[..., 2] < -np.cos(STEEP_RAD)) | hardly_rolled(up)
+def possible_up(up: Float[np.ndarray, "*k 3"], spare_rad: float = 0.0) -> Bool[np.ndarray, "*k"]:
+    """Whether the normal of a ground, pointing to the camera's side, has a roll that cameras have.
+
+    Or has it when turned by `spare_rad`.
+    """
+    return (up[..., 2] < -np.cos(STEEP_RAD + spare_rad)) | hardly_rolled(up, spare_rad)
 
 
 def upside_down(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
@@ -29,9 +34,9 @@ def upside_down(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
     return np.where(steep, up[..., 2] > 0, up[..., 1] > 0)
 
 
-def hardly_rolled(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
+def hardly_rolled(up: Float[np.ndarray, "*k 3"], spare_rad: float = 0.0) -> Bool[np.ndarray, "*k"]:
     """Whether the normal of a ground points up in the picture, as that of an upright camera's does."""
-    return np.abs(up[..., 0]) < np.tan(MAX_ROLL_RAD) * -up[..., 1]
+    return np.abs(up[..., 0]) < np.tan(MAX_ROLL_RAD + spare_rad) * -up[..., 1]
 
 
 def roll_deg(R: Float[np.ndarray, "3 3"]) -> float:

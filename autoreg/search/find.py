@@ -10,7 +10,7 @@ from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.directions import camera_rays, strongest_share
 from autoreg.ground.sight import Sight
-from autoreg.ground.upright import possible_up
+from autoreg.ground.upright import LED_RAD, possible_up
 from autoreg.paving.lattice_choice import suited
 from autoreg.paving.lattice_evidence import Paving, rival
 from autoreg.paving.lay import lay_lattice
@@ -108,7 +108,7 @@ def _is_ground(pavings: tuple[Paving, ...]) -> bool:
     """
     if not pavings or pavings[0].margin_nats <= 0:
         return False
-    return bool(possible_up(pavings[0].fit.cam_from_ground.R[:, 2]))
+    return bool(possible_up(pavings[0].fit.cam_from_ground.R[:, 2], LED_RAD))
 
 
 def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving | None:

@@ -3,7 +3,8 @@
 The pictures of a chessboard set are calibrated by OpenCV, and each board's pose is that of its corners:
 nothing of it comes from autoreg. A floor's camera and homography are its publisher's. What is compared is the
 rotation, up to the lattice's symmetry, and of a floor the direction of its normal: by the camera, the axes of
-its homography are not square.
+its homography are not square. A lattice of another scale may lie on the right ground, and so the height of
+the camera is compared as well.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ COLUMNS, ROWS = 9, 6
 CORNERS = np.array([[i, j, 0.0] for j in range(ROWS) for i in range(COLUMNS)], np.float32)
 # Corners are searched for within this share of the least distance of two of them, and of so many pixels.
 WINDOW, WINDOW_PX = 0.35, (3, 11)
-# What counts as right, in degrees, and as wrong where nothing is said against the camera.
-RIGHT_DEG, WRONG_DEG = 0.3, 1.0
+# What counts as right, in degrees, and as wrong where nothing is said against the camera; a height that is
+# off by more, as a share of itself, is never right.
+RIGHT_DEG, WRONG_DEG, RIGHT_HEIGHT = 0.3, 1.0, 0.02
 # Fewer boards than this make no calibration.
 FEWEST = 5
 QUICK_VIEWS = 3
@@ -57,12 +59,26 @@ class View:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a view: how far it is turned off, or why there is no pose, and what is said of K."""
+    """What became of a view: how far its pose is off, or why there is none, and what is said of K.
+
+    `height_off` is a share of the camera's height above the board or the floor.
+    """
 
     view: View
     turn_deg: float = np.nan
+    height_off: float = np.nan
     reason: str = ""
     contradicted: bool = False
+
+    @property
+    def right(self) -> bool:
+        """Whether there is a pose, and it is the true one."""
+        return self.turn_deg <= RIGHT_DEG and self.height_off <= RIGHT_HEIGHT
+
+    @property
+    def wrong(self) -> bool:
+        """Whether there is another pose, and nothing is said against the camera."""
+        return (self.turn_deg > WRONG_DEG or self.height_off > RIGHT_HEIGHT) and not self.contradicted
 
 
 def run(options: Options) -> Result:
@@ -78,22 +94,22 @@ def run(options: Options) -> Result:
             absent=options.is_absent("chessboards") and options.is_absent("groundgrid"),
         )
     found = [examine(view) for view in (views[:QUICK_VIEWS] if options.quick else views)]
-    aligned = [o.turn_deg for o in found if not o.reason]
-    alarms = sum(o.contradicted for o in found)
+    aligned = [o for o in found if not o.reason]
     figures = [
-        Figure("boards.right", 100.0 * sum(turn <= RIGHT_DEG for turn in aligned) / len(found)),
-        Figure("boards.wrong", sum(o.turn_deg > WRONG_DEG and not o.contradicted for o in found)),
-        Figure("boards.alarms", alarms),
+        Figure("boards.right", 100.0 * sum(o.right for o in found) / len(found)),
+        Figure("boards.wrong", sum(o.wrong for o in found)),
+        Figure("boards.alarms", sum(o.contradicted for o in found)),
     ]
     if aligned:
-        figures.append(Figure("boards.turn", float(np.median(aligned))))
+        figures.append(Figure("boards.turn", float(np.median([o.turn_deg for o in aligned]))))
+        figures.append(Figure("boards.height", 100.0 * max(o.height_off for o in aligned)))
     return Result(
         "boards",
         about=(
             "Photographed chessboards, their camera and poses by OpenCV from their corners, and floors whose "
             f"publisher tells both, through the whole `align`. Right is a rotation within {RIGHT_DEG:g}°, up "
-            "to the lattice's symmetry, and of a floor its normal. All cameras are right, as far as a set's "
-            "boards are flat."
+            "to the lattice's symmetry, and of a floor its normal, and a height of the camera within "
+            f"{RIGHT_HEIGHT:.0%}. All cameras are right, as far as a set's boards are flat."
         ),
         figures=tuple(figures),
         tables=(_table(found),),
@@ -192,22 +208,25 @@ def examine(view: View) -> Outcome:
     pose, true = found.pose.cam_from_ground, view.true
     tilt = float(np.rad2deg(np.arccos(np.clip(pose.R[:, 2] @ true.R[:, 2], -1.0, 1.0))))
     turn = angle_up_to_quarter_turns(pose, true) if view.turn_known else tilt
-    return Outcome(view, turn, contradicted=found.camera.consistent is False)
+    height_off = abs(float(pose.origin_in_a[2] / true.origin_in_a[2]) - 1.0)
+    return Outcome(view, turn, height_off, contradicted=found.camera.consistent is False)
 
 
 def _table(found: list[Outcome]) -> Table:
     rows: list[tuple[str, ...]] = []
     for group in dict.fromkeys(o.view.group for o in found):
         own = [o for o in found if o.view.group == group]
-        turns = [o.turn_deg for o in own if not o.reason]
+        aligned = [o for o in own if not o.reason]
+        turns, heights = ([getattr(o, name) for o in aligned] for name in ("turn_deg", "height_off"))
         rows.append(
             (
                 group,
                 str(len(own)),
                 str(len(turns)),
-                str(sum(turn <= RIGHT_DEG for turn in turns)),
+                str(sum(o.right for o in aligned)),
                 f"{np.median(turns):.3f}" if turns else "",
                 f"{max(turns):.3f}" if turns else "",
+                f"{100.0 * max(heights):.2f}" if turns else "",
                 str(sum(o.contradicted for o in own)),
             )
         )
@@ -215,16 +234,22 @@ def _table(found: list[Outcome]) -> Table:
         "set",
         "pictures",
         "aligned",
-        f"within {RIGHT_DEG:g}°",
+        "right",
         "median °",
         "worst °",
+        "worst height %",
         "camera called wrong",
     )
-    return Table("Rotation of real boards and floors", head, tuple(rows))
+    return Table("Poses of real boards and floors", head, tuple(rows))
 
 
 def _notes(found: list[Outcome]) -> tuple[str, ...]:
     refused = [f"{o.view.name} ({o.reason})" for o in found if o.reason]
     far = [f"{o.view.name} ({o.turn_deg:.2f}°)" for o in found if o.turn_deg > RIGHT_DEG]
-    said = (("Refused", refused), (f"Beyond {RIGHT_DEG:g}°", far))
+    scaled = [f"{o.view.name} ({o.height_off:.1%})" for o in found if o.height_off > RIGHT_HEIGHT]
+    said = (
+        ("Refused", refused),
+        (f"Beyond {RIGHT_DEG:g}°", far),
+        (f"Heights off by more than {RIGHT_HEIGHT:.0%}", scaled),
+    )
     return tuple(f"{what}: {', '.join(names)}." for what, names in said if names)
