@@ -9,12 +9,14 @@ from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
 
 from autoreg.faint_edges import faint_edges
 
 # Where LSD finds fewer segments than this, fainter ones are looked for.
 FEW = 150
+# Where the contrast of a segment is sampled: shares of its length, and pixels to either side.
+ALONG, BESIDE_PX = np.linspace(0.1, 0.9, 9), 1.5
 # LSD's bound on the gradient's error by quantisation, in grey levels, as published.
 LSD_GRADIENT_STEP = 2.0
 
@@ -107,6 +109,28 @@ def begin_detection(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
     everything = pool.submit(lambda: _with_faint([level.result() for level in found], levels, options))
     pool.shutdown(wait=False)
     return Detection(coarse, everything)
+
+
+def contrast_across(
+    picture: Float32[np.ndarray, "h w"], segments: Segments, size: tuple[int, int]
+) -> Float[np.ndarray, " n"]:
+    """By how many grey levels a picture differs between the two sides of each segment.
+
+    `size` is the width and height of the photo in whose pixels the segments are, which may be larger.
+    """
+    ends = (segments.ends_px + 0.5) * (np.array(picture.shape[::-1]) / size) - 0.5
+    along = ends[:, 1] - ends[:, 0]
+    across = along[:, ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    place = ends[:, None, 0] + ALONG[:, None] * along[:, None]
+    sides = [place + side * BESIDE_PX * across[:, None] for side in (1.0, -1.0)]
+    u, v = np.moveaxis(np.stack(sides).astype(np.float32), -1, 0)
+    if not len(segments):
+        return np.zeros(0)
+    one, other = (
+        cv2.remap(picture, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).mean(1)
+        for at in zip(u, v, strict=True)
+    )
+    return np.abs(one - other).astype(float)
 
 
 def _with_faint(found: list[Segments], levels: list[_Level], options: SegmentOptions) -> Segments:

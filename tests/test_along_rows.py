@@ -8,7 +8,7 @@ import pytest
 from autoreg.fitting.fit import Fit
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import Grid
-from autoreg.rows.along_rows import along_rows
+from autoreg.rows.along_rows import AlongRows, along_rows
 from autoreg.rows.cross_joints import CrossJoints, in_columns
 from autoreg.segments import Segments
 
@@ -38,21 +38,22 @@ def on_joints(place: np.ndarray) -> np.ndarray:
     return np.column_stack([place[:, 0], WIDTH * np.round(place[:, 1] / WIDTH)])
 
 
-def size_of(fit: Fit) -> tuple[int, int]:
-    return fit.camera.width, fit.camera.height
+def said_of(fit: Fit, segments: Segments, contrast: np.ndarray | float = 20.0) -> AlongRows:
+    contrasts = np.broadcast_to(np.asarray(contrast, float), (len(segments),))
+    return along_rows(segments, contrasts, fit, FIELD, (fit.camera.width, fit.camera.height))
 
 
 def test_edges_of_the_rows_joints_speak_for_them(rows_fit: Fit):
     rng = np.random.default_rng(0)
     edges = on_joints(places(rng, [-2.0, 0.6], [2.0, 4.0])) + rng.choice([-0.01, 0.01], (200, 1)) * [0.0, 1.0]
-    said = along_rows(segments_at(rows_fit, edges), rows_fit, FIELD, size_of(rows_fit))
+    said = said_of(rows_fit, segments_at(rows_fit, edges))
     assert (said.in_field, said.around) == (1.0, 1.0)
     assert not said.contradict
 
 
 def test_courses_that_lie_elsewhere_in_the_field_speak_against_its_rows(rows_fit: Fit):
     anywhere = places(np.random.default_rng(1), [-0.5, 1.0], [0.5, 2.0])
-    said = along_rows(segments_at(rows_fit, anywhere), rows_fit, FIELD, size_of(rows_fit))
+    said = said_of(rows_fit, segments_at(rows_fit, anywhere))
     assert said.in_field == pytest.approx(0.24, abs=0.1)
     assert said.contradict
 
@@ -61,21 +62,40 @@ def test_a_patch_of_even_courses_is_not_the_ground_if_most_of_that_has_others(ro
     rng = np.random.default_rng(2)
     patch = on_joints(places(rng, [-0.5, 1.0], [0.5, 2.0], 30))
     beside = places(rng, [-1.5, 2.0], [1.5, 3.0], 200)
-    said = along_rows(
-        segments_at(rows_fit, np.concatenate([patch, beside])), rows_fit, FIELD, size_of(rows_fit)
-    )
+    said = said_of(rows_fit, segments_at(rows_fit, np.concatenate([patch, beside])))
     assert said.in_field > 0.95
     assert said.contradict
     # What lies far beyond the field, a wall with courses of its own perhaps, has no say.
     far = segments_at(rows_fit, np.concatenate([patch, np.add(beside, [0.0, 1.5])]))
-    assert not along_rows(far, rows_fit, FIELD, size_of(rows_fit)).contradict
+    assert not said_of(rows_fit, far).contradict
 
 
 def test_what_runs_another_way_says_nothing(rows_fit: Fit):
     across = segments_at(rows_fit, places(np.random.default_rng(3), [-2.0, 0.6], [2.0, 4.0]), turn_rad=0.3)
-    assert not along_rows(across, rows_fit, FIELD, size_of(rows_fit)).contradict
+    assert not said_of(rows_fit, across).contradict
     nothing = across.take(np.zeros(0, dtype=int))
-    assert not along_rows(nothing, rows_fit, FIELD, size_of(rows_fit)).contradict
+    assert not said_of(rows_fit, nothing).contradict
+
+
+def test_a_grain_that_is_fainter_than_the_joints_does_not_speak_against_rows(rows_fit: Fit):
+    rng = np.random.default_rng(7)
+    joints = on_joints(places(rng, [-0.5, 1.0], [0.5, 2.0], 100))
+    grain = places(rng, [-0.5, 1.0], [0.5, 2.0], 150)
+    both = segments_at(rows_fit, np.concatenate([joints, grain]))
+    assert len(both) == 250
+    assert said_of(rows_fit, both).contradict
+    faint = np.repeat([20.0, 8.0], [100, 150])
+    assert not said_of(rows_fit, both, faint).contradict
+    # Joints of other courses are as clear as those of the rows, however few of these are very clear.
+    other = np.repeat([20.0, 60.0, 20.0], [70, 30, 150])
+    assert said_of(rows_fit, both, other).contradict
+
+
+def test_joints_that_are_missed_by_little_are_no_grain_however_faint(rows_fit: Fit):
+    rng = np.random.default_rng(8)
+    place = on_joints(places(rng, [-0.5, 1.0], [0.5, 2.0], 250))
+    place[100:, 1] += 0.2 * WIDTH * rng.choice([-1.0, 1.0], 150)
+    assert said_of(rows_fit, segments_at(rows_fit, place), np.repeat([20.0, 8.0], [100, 150])).contradict
 
 
 def cross_joints(x: np.ndarray, row: np.ndarray) -> CrossJoints:

@@ -1,16 +1,25 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import cv2
 import numpy as np
 import pytest
 from coloured import UNEVEN, in_colour, miss_deg
 from jaxtyping import Float, UInt8
 
+from autoreg import laying_in_tone
 from autoreg.align import align
+from autoreg.answer.full_resolution import Laid
+from autoreg.answer.pattern_refusals import Pattern
 from autoreg.errors import Refusal
 from autoreg.fine_hue import DARK, Hue, finest_hue
+from autoreg.ground.sides import Grid
+from autoreg.ground.sight import see
 from autoreg.image import as_gray
 from autoreg.synthetic import SyntheticPhoto
+from autoreg.task import Task
 
 # Joints a little warmer than the slabs' 150, and as light.
 WARM = (105.0, 149.0, 162.0)
@@ -91,3 +100,25 @@ def test_a_photo_of_one_colour_has_no_hue_and_is_refused():
     assert finest_hue(orange, (128, 96)) is None
     with pytest.raises(Refusal):
         align(orange, None)
+
+
+def test_rows_by_hue_are_none_where_luminance_shows_a_pattern(
+    monkeypatch: pytest.MonkeyPatch, warm: SyntheticPhoto
+):
+    rows = cast(Laid, SimpleNamespace(fit=SimpleNamespace(grid=Grid(None, 0.1))))
+
+    def refused(refusal: Refusal) -> bool:
+        def lay(_: Task) -> Laid:
+            raise refusal
+
+        monkeypatch.setattr(laying_in_tone, "lay", lay)
+        monkeypatch.setattr(laying_in_tone, "_laid_by_hue", lambda task: (task, rows))
+        monkeypatch.setattr(laying_in_tone, "_in_joint_tone", lambda task, laid: (task, laid))
+        task = Task(see(as_gray(warm.pixels)), None, "photo")
+        try:
+            return laying_in_tone.lay_in_clearest_tone(task)[1] is not rows
+        except Refusal as told:
+            return told is refusal
+
+    assert refused(Pattern("no_lattice", "stones of several sizes"))
+    assert not refused(Refusal("no_lattice", "nothing repeats"))

@@ -168,3 +168,19 @@ def test_combs_that_are_too_alike_count_once():
     chosen = distinct(spacings, scores, 4)
     assert [c.spacing for c in chosen] == [1.01, 1.5]
     assert [c.score for c in chosen] == [6.0, 4.0]
+
+
+def test_joints_are_told_from_a_grain_by_their_strength_alone():
+    rng = np.random.default_rng(11)
+    # Some streaks agree with themselves as well as joints do.
+    strength = rng.uniform(0.0, 0.5, (LINES, 1))
+    strength[np.arange(7, LINES, 25)] = 0.8
+    sign = rng.choice([-1.0, 1.0], (LINES, 1))
+    evidence = sign * strength + 0.1 * rng.standard_normal((LINES, COLUMNS))
+    visible = np.ones((LINES, COLUMNS), bool)
+    agreeing = Family(
+        evidence.astype(np.float32), visible, 0.01 * np.arange(LINES), np.arange(float(COLUMNS))
+    )
+    by_agreement, by_strength = (best_combs(replace(agreeing, strong=s)) for s in (False, True))
+    assert by_strength[0].spacing == pytest.approx(0.25, rel=0.02)
+    assert not by_agreement or by_strength[0].score > by_agreement[0].score + 15.0

@@ -3,8 +3,10 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import replace
 
+import boarded
 import numpy as np
 import pytest
+from boarded import boards, photographed
 from paved import STACK
 
 from autoreg.errors import Refusal
@@ -14,10 +16,10 @@ from autoreg.ground.sight import Sight, see
 from autoreg.image import as_gray
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.plane_combs import Hypothesis
-from autoreg.search.find import find_paving
+from autoreg.search.find import find_paving, find_rows
 from autoreg.search.hypotheses import THOROUGHLY, hypothesised, hypothesised_thoroughly
 from autoreg.segments import Detection, Segments
-from autoreg.synthetic import SyntheticPhoto, render_paving
+from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
 from benchmarks.suites import robust
 
 NONE = Segments(np.zeros((0, 2, 2)), np.zeros(0), np.zeros(0, int))
@@ -154,3 +156,19 @@ def test_joints_without_any_edge_across_them_are_found_on_grounds_turned_about_t
     monkeypatch.setattr("autoreg.search.find.hypothesised_along_grain", lambda *_, **__: [])
     with pytest.raises(Refusal):
         find_paving(blind, half_photo.camera)
+
+
+@pytest.mark.parametrize("heading_deg", [20.0, 36.0, 60.0])
+def test_boards_are_told_from_their_grain_by_the_strength_of_their_joints(heading_deg: float):
+    pose = look_at_ground(pitch_deg=34.0, height_m=1.6, heading_deg=heading_deg)
+    found = find_paving(see(photographed(boards(6.0), pose)), boarded.CAMERA)
+    assert isinstance(found, Paving)
+    assert found.grid.shift == pytest.approx(0.5, abs=0.01)
+    assert sides_in_heights(found) == pytest.approx([boarded.WIDTH_M / 1.6, boarded.LENGTH_M / 1.6], rel=0.01)
+    up = found.fit.cam_from_ground.R[:, 2]
+    assert np.rad2deg(np.arccos(min(1.0, up @ pose.R[:, 2]))) < 0.3
+
+
+def test_the_ends_of_boards_are_no_rows():
+    pose = look_at_ground(pitch_deg=34.0, height_m=1.6, heading_deg=20.0)
+    assert find_rows(see(photographed(boards(9.0, seed=9), pose)), boarded.CAMERA) is None

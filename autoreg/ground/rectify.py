@@ -10,7 +10,7 @@ Ground coordinates in this file are in camera heights, with the origin below the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -22,6 +22,8 @@ from autoreg.camera import Camera
 FLAT_GRADIENT = 0.15
 # Joints are narrow: what changes more slowly than this is not of them.
 SHADING_PX = 6.0
+# Where strength counts, gradients are bounded at so many times their neighbourhood's mean.
+STRONG = 3.0
 # Rows of the ground that are sampled at a time.
 ROWS = 64
 
@@ -32,13 +34,20 @@ class Family:
 
     `evidence` is the gradient across the line, divided by its neighbourhood's mean: it lies in [-1, 1], so
     that neither a bright object nor a hard shadow outvotes the joints. `along` are the ground coordinates
-    of its columns.
+    of its columns. `strong` is whether a line is told from others by how strong its gradients are, else by
+    how much they agree.
     """
 
     evidence: Float[np.ndarray, "lines columns"]
     visible: Bool[np.ndarray, "lines columns"]
     offset: Float[np.ndarray, " lines"]
     along: Float[np.ndarray, " columns"]
+    strong: bool = False
+
+    def part(self, columns: slice) -> Family:
+        """The family between some columns."""
+        evidence, visible = self.evidence[:, columns], self.visible[:, columns]
+        return replace(self, evidence=evidence, visible=visible, along=self.along[columns])
 
 
 @dataclass(frozen=True)
@@ -98,6 +107,7 @@ def rectify(
     reach: float = 12.0,
     size: int = 800,
     window: Window = EVERYWHERE,
+    strong: bool = False,
 ) -> Rectified | None:
     """Evidence for joints along X and along Y on the ground plane of a rotation, or None if none is seen.
 
@@ -108,6 +118,7 @@ def rectify(
         reach: how far from the point below the camera to look, in camera heights.
         size: limit to the number of rows and of columns.
         window: the part of the ground to look at.
+        strong: whether lines are told from others by the strength of their gradients.
     """
     axes = grid_axes(camera, R, reach, size, window)
     if axes is None:
@@ -122,10 +133,11 @@ def rectify(
         across_x[part], across_y[part], visible[part] = _across(
             gradient, camera, R, xs, ys[part], reach, window
         )
-    along_y = _contrast(across_y, visible)
+    means = STRONG if strong else 1.0
+    along_y = _contrast(across_y, visible, means)
     return Rectified(
-        x=Family(_contrast(across_x, visible), visible, ys, xs),
-        y=Family(np.ascontiguousarray(along_y.T), np.ascontiguousarray(visible.T), xs, ys),
+        x=Family(_contrast(across_x, visible, means), visible, ys, xs, strong),
+        y=Family(np.ascontiguousarray(along_y.T), np.ascontiguousarray(visible.T), xs, ys, strong),
     )
 
 
@@ -165,13 +177,13 @@ def _across(
     return across_x, across_y, visible
 
 
-def _contrast(gradient: np.ndarray, visible: np.ndarray) -> np.ndarray:
-    """Gradient against its neighbourhood's mean strength, bounded to [-1, 1]."""
+def _contrast(gradient: np.ndarray, visible: np.ndarray, means: float) -> np.ndarray:
+    """Gradient against so many times its neighbourhood's mean strength, bounded to [-1, 1]."""
     strength = np.where(visible, np.abs(gradient), 0.0).astype(np.float32)
     window = (41, 41)
     seen = cv2.blur(visible.astype(np.float32), window)
     mean = np.maximum(cv2.blur(strength, window) / np.maximum(seen, 1e-2), FLAT_GRADIENT)
-    return np.where(visible, gradient / (strength + mean), 0.0).astype(np.float32)
+    return np.where(visible, gradient / (strength + np.float32(means) * mean), 0.0).astype(np.float32)
 
 
 def grid_axes(
@@ -215,16 +227,20 @@ def _axis(coordinate: np.ndarray, px_per_unit: np.ndarray, size: int) -> np.ndar
 
 
 def line_support(family: Family, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coherence of each line between successive columns `edges`, and the number of visible samples.
+    """Support of each line between successive columns `edges`, and the number of visible samples.
 
-    |sum e| / sqrt(sum e^2): about one for texture, the root of the number of samples for a joint. Each
-    piece is judged by itself because in a checker floor the gradient's sign alternates along the line.
+    Coherence is |sum e| / sqrt(sum e^2): about one for texture, the root of the number of samples for a
+    joint. The lines of a grain agree as much as joints do, and are weaker: strength is |sum e| over the root
+    of the number of samples. Each piece is judged by itself because in a checker floor the gradient's sign
+    alternates along the line.
     """
     e, m = family.evidence, family.visible
     number = np.searchsorted(edges, np.arange(e.shape[1]), side="right") - 1
     piece = (number[:, None] == np.arange(len(edges) - 1)).astype(np.float32)
-    total, squares, counts = np.abs(e @ piece), (e * e) @ piece, m.astype(np.float32) @ piece
-    return total / np.sqrt(squares + 0.3), counts
+    total, counts = np.abs(e @ piece), m.astype(np.float32) @ piece
+    if family.strong:
+        return total / np.sqrt(np.maximum(counts, 1.0)), counts
+    return total / np.sqrt((e * e) @ piece + 0.3), counts
 
 
 def near_reach(camera: Camera, R: Float[np.ndarray, "3 3"], beyond: float = 2.0) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,10 +20,15 @@ COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
 
 @dataclass(frozen=True)
 class Look:
-    """A picture's gradient, and the number of rows and columns that sample the ground from it."""
+    """A picture's gradient, and the number of rows and columns that sample the ground from it.
+
+    `strong` is whether lines are told from others by the strength of their gradients, else by how much these
+    agree.
+    """
 
     gradient: Gradient
     lines: int
+    strong: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,13 @@ class Looks:
     @cached_property
     def unshaded(self) -> Look:
         """The fine look without shading, in which the faint joints of a glossy floor drown."""
-        return Look(picture_gradient(unshaded(self.picture)), self.fine.lines)
+        return Look(picture_gradient(unshaded(self.picture)), self.fine.lines, self.fine.strong)
+
+    @cached_property
+    def strong(self) -> Looks:
+        """Both looks for strong lines: joints among a grain that runs along them."""
+        coarse, fine = (replace(look, strong=True) for look in (self.coarse, self.fine))
+        return Looks(self.picture, coarse, fine)
 
 
 @dataclass(frozen=True)

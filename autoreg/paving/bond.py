@@ -23,7 +23,7 @@ AUTOCORRELATION = 4096
 # Either family must carry at least this much evidence for a bond to be looked into.
 WORTH_NATS = 5.0
 # Spacings of cross joints that are looked for among their places, in widths of a course.
-CLOSEST, WIDEST = 0.4, 8.0
+CLOSEST, WIDEST = 0.4, 12.0
 # How finely spacings and shifts are tried, against the least that the places can tell.
 FINELY = 8
 # Chance of one false alarm in this many photos without a lattice.
@@ -79,7 +79,7 @@ def course_support(family: Family, comb: Comb) -> Courses:
         if last - first < 4 or last - first < 0.5 * whole:
             continue
         columns = slice(first, last)
-        part = Family(family.evidence[:, columns], family.visible[:, columns], family.offset, along[columns])
+        part = family.part(columns)
         edges = np.rint(np.linspace(0, last - first, max(1, round((last - first) / 32)) + 1)).astype(int)
         support, samples = line_support(part, edges)
         counted = samples > 0.6 * np.diff(edges)

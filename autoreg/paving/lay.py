@@ -93,7 +93,7 @@ def _starts(looks: tuple[Look, ...], plane: PlaneCombs) -> Iterator[_Start]:
     for look in looks:
         camera = plane.camera.scaled(*look.gradient.size)
         reach = near_reach(camera, plane.R)
-        near = rectify(look.gradient, camera, plane.R, reach=reach, size=look.lines)
+        near = rectify(look.gradient, camera, plane.R, reach=reach, size=look.lines, strong=look.strong)
         if near is None:
             continue
         yield from (_bond_start(plane.R, bond) for bond in bond_hypotheses(near, keep=2))

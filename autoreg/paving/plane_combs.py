@@ -113,7 +113,9 @@ def _lined_up(looks: Looks, segments: Segments, plane: PlaneCombs, *, free_focal
 def _combed(
     look: Look, camera: Camera, R: Float[np.ndarray, "3 3"], *, local: bool = True
 ) -> PlaneCombs | None:
-    rectified = rectify(look.gradient, camera.scaled(*look.gradient.size), R, size=look.lines)
+    rectified = rectify(
+        look.gradient, camera.scaled(*look.gradient.size), R, size=look.lines, strong=look.strong
+    )
     if rectified is None:
         return None
     return PlaneCombs(camera, R, best_combs(rectified.x, local=local), best_combs(rectified.y, local=local))
@@ -145,7 +147,7 @@ def _in_window(
 ) -> PlaneCombs | None:
     """The joints of a hypothesised ground in a part of it, at the price of the choice."""
     own = camera.scaled(*look.gradient.size)
-    rectified = rectify(look.gradient, own, R, size=look.lines, window=window)
+    rectified = rectify(look.gradient, own, R, size=look.lines, window=window, strong=look.strong)
     if rectified is None:
         return None
     families = (best_combs(family, local=True, piece=piece) for family in (rectified.x, rectified.y))

@@ -1,7 +1,9 @@
 """Segments along the rows: whether those of the ground lie on the joints that the rows predict.
 
 Rows have no other joints in that direction. A corner of a field whose courses are uneven, or the soldier
-course beside herringbone, may suit an even spacing; the rest of the ground then says otherwise.
+course beside herringbone, may suit an even spacing; the rest of the ground then says otherwise. Such joints
+are as clear as those of the rows. The grain of boards, which runs along them anywhere, is fainter: as much of
+it as is seen far from the joints is left out of the count.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ LEAST_IN_FIELD, LEAST_AROUND = 0.75, 0.5
 
 @dataclass(frozen=True)
 class AlongRows:
-    """Shares of the length, in pixels, of the segments along the rows that lie on the rows' joints."""
+    """Shares of the length of the segments along the rows, without their grain, that lie on joints."""
 
     in_field: float
     around: float
@@ -40,23 +42,39 @@ class AlongRows:
 
 
 def along_rows(
-    segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]
+    segments: Segments,
+    contrast: Float[np.ndarray, " n"],
+    fit: Fit,
+    field: Float[np.ndarray, "k 2"],
+    size: tuple[int, int],
 ) -> AlongRows:
     """What the segments of the ground that run along the rows say of them; one where there are none.
 
-    `size` is the photo's width and height, in whose pixels the segments are.
+    Args:
+        segments: of the photo, whose width and height is `size`.
+        contrast: of each segment, in any unit.
+        fit: of the rows.
+        field: where they are.
+        size: the photo's width and height.
     """
     ground = on_ground(segments.ends_px, fit.camera.scaled(*size), fit.cam_from_ground)
     along, middle = ground[:, 1] - ground[:, 0], ground.mean(1)
     with np.errstate(invalid="ignore"):
         chosen = np.abs(along[:, 1]) < np.tan(ALONG_RAD) * np.abs(along[:, 0])
-    middle, length = middle[chosen], segments.length_px[chosen]
+    middle, length, contrast = middle[chosen], segments.length_px[chosen], contrast[chosen]
     row = middle[:, 1] / fit.grid.spacing_y
-    on_joint = np.abs(row - np.round(row)) < ON_JOINT
+    off = np.abs(row - np.round(row))
     inside, around = (inside_box(middle, field, margin) for margin in (0.0, AROUND))
-    return AlongRows(_share(length, on_joint, inside), _share(length, on_joint, around))
+    of_joints = contrast[inside & (off < ON_JOINT)]
+    usual = float(np.median(of_joints)) if len(of_joints) else 0.0
+    faint = 1.0 - np.minimum(contrast / max(usual, 1e-9), 1.0) ** 2
+    return AlongRows(*(_share(length[some], off[some], faint[some]) for some in (inside, around)))
 
 
-def _share(length: np.ndarray, on_joint: np.ndarray, counted: np.ndarray) -> float:
-    whole = float(length[counted].sum())
-    return float(length[counted & on_joint].sum()) / whole if whole else 1.0
+def _share(length: np.ndarray, off: np.ndarray, faint: np.ndarray) -> float:
+    """The share of some segments that lies on joints, without what is as likely to lie anywhere."""
+    # Rows are as wide on either side of their middles, where there are no joints, as on either side of these.
+    anywhere = 2.0 * float((length * faint)[off > 0.25].sum())
+    whole = float(length.sum()) - anywhere
+    on_joint = float(length[off < ON_JOINT].sum()) - 2.0 * ON_JOINT * anywhere
+    return float(np.clip(on_joint / whole, 0.0, 1.0)) if whole > 0.0 else 1.0

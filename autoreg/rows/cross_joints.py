@@ -20,6 +20,9 @@ from autoreg.spread import spread
 RIGHT_RAD, OBLIQUE_RAD = np.radians(4.0), np.radians(15.0)
 # Length of a cross joint's segments, in widths of a row.
 SHORTEST, LONGEST = 0.3, 1.4
+# Longer segments at right angles are joints that run on through what then are no rows: their share of the
+# length is 0.03 at the most in rows, and 0.4 to 0.6 where the ends of boards were taken for rows.
+MOST_LONGER = 0.3
 # Segments this close along a row, in its widths, are of one joint: they are its edges, or parts of them.
 ONE_JOINT = 0.15
 # ... and those within this share of a slab of a lattice's cross joint, or of its edges, are of it.
@@ -43,10 +46,19 @@ MEDIAN_LOSS = 1.2533
 
 @dataclass(frozen=True)
 class CrossJoints:
-    """Segments at right angles to the unbroken joints: where they lie, and their evidence against chance."""
+    """Segments at right angles to the unbroken joints: where they lie, and their evidence against chance.
+
+    `longer` is the share of the length of segments at right angles that is of longer ones.
+    """
 
     middle: Float[np.ndarray, "n 2"]
     evidence_nats: float
+    longer: float = 0.0
+
+    @property
+    def run_through(self) -> bool:
+        """Whether most joints at right angles run on through several rows."""
+        return self.longer > MOST_LONGER
 
 
 @dataclass(frozen=True)
@@ -94,18 +106,21 @@ def find_cross_joints(
     segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]
 ) -> CrossJoints:
     """Segments of the field at right angles to the unbroken joints, against those of any direction."""
-    ground = _in_field(segments, fit.camera.scaled(*size), fit, field)[1]
+    index, ground = _in_field(segments, fit.camera.scaled(*size), fit, field, longest=np.inf)
     along = ground[:, 1] - ground[:, 0]
+    fitting = np.linalg.norm(along, axis=1) < LONGEST * fit.grid.spacing_y
     angle = np.abs(np.arctan2(along[:, 1], along[:, 0])) % np.pi
     off_right = np.abs(angle - np.pi / 2)
-    right = off_right < RIGHT_RAD
-    oblique = (off_right > OBLIQUE_RAD) & (off_right < np.pi / 2 - OBLIQUE_RAD)
+    crossing, length_px = off_right < RIGHT_RAD, segments.length_px[index]
+    longer = float(length_px[crossing & ~fitting].sum()) / max(float(length_px[crossing].sum()), 1e-9)
+    right = crossing & fitting
+    oblique = (off_right > OBLIQUE_RAD) & (off_right < np.pi / 2 - OBLIQUE_RAD) & fitting
     # A half observed besides keeps an empty field from proving anything.
     expected = (oblique.sum() + 0.5) * RIGHT_RAD / (np.pi / 2 - 2 * OBLIQUE_RAD)
     found = int(right.sum())
     # The chance of as many or more in a Poisson distribution; scipy.stats would take half a second to import.
     chance = float(gammainc(found, expected)) if found else 1.0
-    return CrossJoints(ground[right].mean(1), float(-np.log(max(chance, 1e-87))))
+    return CrossJoints(ground[right].mean(1), float(-np.log(max(chance, 1e-87))), longer)
 
 
 def in_columns(cross: CrossJoints, width: float) -> bool:
@@ -198,16 +213,21 @@ def _on_cross_joints(place: Float[np.ndarray, "n 2"], grid: Grid, width: float) 
 
 
 def _in_field(
-    segments: Segments, camera: Camera, fit: Fit, field: Float[np.ndarray, "k 2"]
+    segments: Segments,
+    camera: Camera,
+    fit: Fit,
+    field: Float[np.ndarray, "k 2"],
+    *,
+    longest: float = LONGEST,
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2 2"]]:
     """Index and ground ends of the field's segments that are as long as a cross joint may be.
 
-    A cross joint lies between two unbroken ones, and is a good part of a row long.
+    A cross joint lies between two unbroken ones, and is a good part of a row long. `longest` is in rows.
     """
     ground = on_ground(segments.ends_px, camera, fit.cam_from_ground)
     middle = ground.mean(1)
     length = np.linalg.norm(ground[:, 1] - ground[:, 0], axis=1) / fit.grid.spacing_y
-    index = np.flatnonzero(inside_box(middle, field) & (length > SHORTEST) & (length < LONGEST))
+    index = np.flatnonzero(inside_box(middle, field) & (length > SHORTEST) & (length < longest))
     return index, ground[index]
 
 

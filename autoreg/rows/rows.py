@@ -25,7 +25,7 @@ from autoreg.paving.presence import Presence
 from autoreg.paving.side_support import presence_of
 from autoreg.rows.along_rows import along_rows
 from autoreg.rows.cross_joints import CrossJoints, find_cross_joints, in_columns
-from autoreg.segments import Segments
+from autoreg.segments import Segments, contrast_across
 from autoreg.solve.freedom import Free
 
 # One family of lines holds fewer motions than two: single solves may not wander further than this.
@@ -109,9 +109,10 @@ def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int,
         return None
     field = presence.field
     cross = find_cross_joints(segments, fit, field, size)
-    if len(cross.middle) == 0 or not _evenly_spaced(presence, field):
+    if len(cross.middle) == 0 or cross.run_through or not _evenly_spaced(presence, field):
         return None
-    if along_rows(segments, fit, field, size).contradict or _interrupted(picture, fit, field):
+    contrast = contrast_across(picture, segments, size)
+    if along_rows(segments, contrast, fit, field, size).contradict or _interrupted(picture, fit, field):
         return None
     x, _ = line_evidence(presence, fit.grid)
     middle = np.median(cross.middle, axis=0)

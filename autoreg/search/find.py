@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 
@@ -9,7 +12,7 @@ from autoreg.answer.refusals import ambiguous, no_lattice, without_contrast
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.directions import camera_rays, strongest_share
-from autoreg.ground.sight import Sight
+from autoreg.ground.sight import Looks, Sight
 from autoreg.ground.upright import LED_RAD, possible_up
 from autoreg.paving.lattice_choice import suited
 from autoreg.paving.lattice_evidence import Paving, rival
@@ -48,57 +51,107 @@ def find_paving(
     Raises:
         Refusal: none explains it better than chance.
     """
-    looks = sight.looks
-
-    def fitting(pavings: tuple[Paving, ...], *, halves: bool = False) -> tuple[Paving, ...]:
-        return pavings if slab is None else suited(looks.picture, pavings, slab, halves=halves)
-
-    def suitable(pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
-        return fitting(pavings, halves=camera is not None) or pavings
-
-    def glanced(segments: Segments, free: Free, hypotheses: list[Hypothesis]) -> tuple[Paving, ...]:
-        first = at_a_glance(looks, segments, hypotheses, free)
-        return () if first is None else (first,)
-
-    def lay(plane: PlaneCombs) -> tuple[Paving, ...]:
-        return suitable(lay_lattice(looks, plane, free))
-
     if camera is not None:
-        coarse = sight.detection.coarse
-        seen = fitting(glanced(coarse, *hypothesised(coarse, sight.size, camera, walls=walls)))
+        early = _Search.by(sight, sight.detection.coarse, camera, slab, walls=walls)
+        seen = early.fitting(early.glanced())
         if is_plain(seen):
             return _unrivalled(seen)
-    segments = sight.segments
-    free, hypotheses = hypothesised(segments, sight.size, camera, walls=walls)
-    glance = glanced(segments, free, hypotheses)
-    best = fitting(glance)
+    search = _Search.by(sight, sight.segments, camera, slab, walls=walls)
+    glance = search.glanced()
+    best = search.fitting(glance)
     if is_plain(best):
         return _unrivalled(best)
-    best, planes = lay_planes(looks, segments, hypotheses, best, lay, free_focal=camera is None)
+    best, planes = search.clearest(best)
     # By another focal length what is plain to see may have the slab's shape.
     if camera is None and not is_plain(best) and is_plain(glance):
         best = glance
     if best and best[0].margin_nats > 0:
         return _unrivalled(best)
-    if camera is None:
-        others = suitable(by_other_focals(looks, planes, free))
-    else:
-        further = (
-            lambda: hypothesised_thoroughly(segments, camera, hypotheses, walls=walls),
-            lambda: hypothesised_along_grain(segments, camera, walls=walls),
-        )
-        tried = (lay_promising(looks, segments, grounds(), lay) for grounds in further)
-        others = next((laid for laid in tried if _is_ground(laid)), ())
+    others, stronger = search.strongest()
+    if not _is_ground(others):
+        others = search.by_other_focals(planes) if camera is None else search.further(camera)
     if others and others[0].margin_nats > 0:
         return _unrivalled(others)
-    fields = fields_of_rows(looks, segments, sight.size, planes)
-    others = suitable(by_cross_joints(looks, fields, free))
+    fields = fields_of_rows(sight.looks, search.segments, sight.size, [*planes, *stronger])
+    others = search.suitable(by_cross_joints(sight.looks, fields, search.free))
     if others and others[0].margin_nats > 0:
         return _unrivalled(others)
     rows = rows_alone(fields)
     if rows is None:
         raise _no_paving(sight, camera, best, fields)
     return rows
+
+
+@dataclass(frozen=True)
+class _Search:
+    """The grounds that a photo's segments suggest, and what is solved for while they are looked into."""
+
+    looks: Looks
+    segments: Segments
+    slab: tuple[float, float] | None
+    walls: bool
+    free: Free
+    hypotheses: list[Hypothesis]
+
+    @classmethod
+    def by(
+        cls,
+        sight: Sight,
+        segments: Segments,
+        camera: Camera | None,
+        slab: tuple[float, float] | None,
+        *,
+        walls: bool,
+    ) -> _Search:
+        """The search by some segments of a photo; the rest is as for `find_paving`."""
+        free, hypotheses = hypothesised(segments, sight.size, camera, walls=walls)
+        return cls(sight.looks, segments, slab, walls, free, hypotheses)
+
+    def fitting(self, pavings: tuple[Paving, ...], *, halves: bool = False) -> tuple[Paving, ...]:
+        """Those of some lattices that suit the slab; with `halves`, as halves or doubles of themselves."""
+        return pavings if self.slab is None else suited(self.looks.picture, pavings, self.slab, halves=halves)
+
+    def suitable(self, pavings: tuple[Paving, ...]) -> tuple[Paving, ...]:
+        """Those of some lattices that suit the slab, else all of them."""
+        return self.fitting(pavings, halves=not self.free.focal) or pavings
+
+    def glanced(self) -> tuple[Paving, ...]:
+        """What the first glance shows."""
+        first = at_a_glance(self.looks, self.segments, self.hypotheses, self.free)
+        return () if first is None else (first,)
+
+    def clearest(self, best: tuple[Paving, ...]) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
+        """The best of these lattices and of those on the clearest grounds, and these grounds."""
+        looks, free_focal = self.looks, self.free.focal
+        return lay_planes(
+            looks, self.segments, self.hypotheses, best, self._lay_by(looks), free_focal=free_focal
+        )
+
+    def strongest(self) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
+        """The best lattices on the grounds whose lines are strongest, and these grounds."""
+        return self._promising(self.looks.strong, self.hypotheses)
+
+    def by_other_focals(self, planes: list[PlaneCombs]) -> tuple[Paving, ...]:
+        """What is plain to see on the clearest ground by another focal length."""
+        return self.suitable(by_other_focals(self.looks, planes, self.free))
+
+    def further(self, camera: Camera) -> tuple[Paving, ...]:
+        """The best lattices on grounds that only a closer look at the segments suggests."""
+        closer = (
+            lambda: hypothesised_thoroughly(self.segments, camera, self.hypotheses, walls=self.walls),
+            lambda: hypothesised_along_grain(self.segments, camera, walls=self.walls),
+        )
+        tried = (self._promising(self.looks, hypotheses())[0] for hypotheses in closer)
+        return next((laid for laid in tried if _is_ground(laid)), ())
+
+    def _promising(
+        self, looks: Looks, hypotheses: list[Hypothesis]
+    ) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
+        lay = self._lay_by(looks)
+        return lay_promising(looks, self.segments, hypotheses, lay, free_focal=self.free.focal)
+
+    def _lay_by(self, looks: Looks) -> Callable[[PlaneCombs], tuple[Paving, ...]]:
+        return lambda plane: self.suitable(lay_lattice(looks, plane, self.free))
 
 
 def _is_ground(pavings: tuple[Paving, ...]) -> bool:

@@ -26,6 +26,9 @@ MOST_PLANES = 3
 # Beyond this margin the clearest ground's lattice is clear enough to leave grounds whose joints carry less
 # than this share of its own, as they came.
 CLEAR_NATS, LESS_CLEAR = 20.0, 0.5
+# Grounds whose joints are told by their strength are promising beyond this: other things are stronger than
+# their surroundings, too.
+STRONG_NATS = 20.0
 # Where none of them has a lattice, so many other focal lengths of the clearest one are looked into.
 MOST_FOCALS = 5
 
@@ -66,15 +69,19 @@ def lay_promising(
     segments: Segments,
     hypotheses: list[Hypothesis],
     lay: Callable[[PlaneCombs], tuple[Paving, ...]],
-) -> tuple[Paving, ...]:
-    """The best lattices on those of some further grounds whose joints are clear as they came, if any are."""
+    *,
+    free_focal: bool = False,
+) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
+    """The best lattices on those grounds whose joints are clear as they came, if any are, and the grounds."""
     planes = planes_as_they_came(looks, hypotheses)
-    promising = [plane for plane in planes if plane.score > PROMISING_NATS][:MOST_PLANES]
+    least = STRONG_NATS if looks.fine.strong else PROMISING_NATS
+    promising = [plane for plane in planes if plane.score > least][:MOST_PLANES]
+    ranked = sharpened(looks, segments, promising, free_focal=free_focal)
     best: tuple[Paving, ...] = ()
-    for plane in sharpened(looks, segments, promising, free_focal=False):
+    for plane in ranked:
         if not is_plain(best):
             best = _better(best, lay(plane))
-    return best
+    return best, ranked
 
 
 def _better(best: tuple[Paving, ...], others: tuple[Paving, ...]) -> tuple[Paving, ...]:
