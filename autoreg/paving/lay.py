@@ -53,7 +53,9 @@ def lay_combs(looks: Looks, plane: PlaneCombs, free: Free) -> Paving | None:
     return None if start is None else _laid(looks, plane, start, free)
 
 
-def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ...]:
+def lay_lattice(
+    looks: Looks, plane: PlaneCombs, free: Free, *, most_starts: int = MOST_STARTS
+) -> tuple[Paving, ...]:
     """The lattices that several starts on a plane lead to, the one that explains the picture best first.
 
     Where both families repeat as whole lines, they are the start. A running bond seen from afar, or one with
@@ -68,7 +70,7 @@ def lay_lattice(looks: Looks, plane: PlaneCombs, free: Free) -> tuple[Paving, ..
         laid = _laid(looks, plane, start, free, both=bool(tried))
         tried.append(start)
         found += [] if laid is None else [laid]
-        if (laid is not None and laid.plain) or len(tried) > MOST_STARTS:
+        if (laid is not None and laid.plain) or len(tried) > most_starts:
             break
     return tuple(sorted(found, key=lambda paving: -paving.margin_nats))
 

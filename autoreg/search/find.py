@@ -16,7 +16,7 @@ from autoreg.ground.sight import Looks, Sight
 from autoreg.ground.upright import LED_RAD, possible_up
 from autoreg.paving.lattice_choice import suited
 from autoreg.paving.lattice_evidence import Paving, rival
-from autoreg.paving.lay import lay_lattice
+from autoreg.paving.lay import MOST_STARTS, lay_lattice
 from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows
 from autoreg.search.glance import at_a_glance
@@ -26,6 +26,8 @@ from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, field
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
 
+# Strong lines lead to a lattice by one of the first three starts, if they do at all.
+FEW_STARTS = 2
 # Fewer segments than this do not tell that all run in one direction.
 FEWEST_SEGMENTS = 20
 
@@ -122,14 +124,12 @@ class _Search:
 
     def clearest(self, best: tuple[Paving, ...]) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
         """The best of these lattices and of those on the clearest grounds, and these grounds."""
-        looks, free_focal = self.looks, self.free.focal
-        return lay_planes(
-            looks, self.segments, self.hypotheses, best, self._lay_by(looks), free_focal=free_focal
-        )
+        lay = self._lay_by(self.looks, MOST_STARTS)
+        return lay_planes(self.looks, self.segments, self.hypotheses, best, lay, free_focal=self.free.focal)
 
     def strongest(self) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
         """The best lattices on the grounds whose lines are strongest, and these grounds."""
-        return self._promising(self.looks.strong, self.hypotheses)
+        return self._promising(self.looks.strong, self.hypotheses, FEW_STARTS)
 
     def by_other_focals(self, planes: list[PlaneCombs]) -> tuple[Paving, ...]:
         """What is plain to see on the clearest ground by another focal length."""
@@ -141,17 +141,17 @@ class _Search:
             lambda: hypothesised_thoroughly(self.segments, camera, self.hypotheses, walls=self.walls),
             lambda: hypothesised_along_grain(self.segments, camera, walls=self.walls),
         )
-        tried = (self._promising(self.looks, hypotheses())[0] for hypotheses in closer)
+        tried = (self._promising(self.looks, hypotheses(), MOST_STARTS)[0] for hypotheses in closer)
         return next((laid for laid in tried if _is_ground(laid)), ())
 
     def _promising(
-        self, looks: Looks, hypotheses: list[Hypothesis]
+        self, looks: Looks, hypotheses: list[Hypothesis], most_starts: int
     ) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
-        lay = self._lay_by(looks)
+        lay = self._lay_by(looks, most_starts)
         return lay_promising(looks, self.segments, hypotheses, lay, free_focal=self.free.focal)
 
-    def _lay_by(self, looks: Looks) -> Callable[[PlaneCombs], tuple[Paving, ...]]:
-        return lambda plane: self.suitable(lay_lattice(looks, plane, self.free))
+    def _lay_by(self, looks: Looks, most_starts: int) -> Callable[[PlaneCombs], tuple[Paving, ...]]:
+        return lambda plane: self.suitable(lay_lattice(looks, plane, self.free, most_starts=most_starts))
 
 
 def _is_ground(pavings: tuple[Paving, ...]) -> bool:
