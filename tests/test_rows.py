@@ -109,7 +109,7 @@ def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(
     hardly = replace(ashlar_rows, paving=replace(ashlar_rows.paving, evidence_nats=evidence))
     monkeypatch.setattr("autoreg.search.rows_on_planes.lay_rows", lambda *_: hardly)
     monkeypatch.setattr("autoreg.search.glance.lay_combs", lambda *_: None)
-    monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_: ())
+    monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_, **__: ())
     with pytest.raises(Refusal) as refused:
         find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA)
     assert refused.value.code == "one_direction"

@@ -89,7 +89,7 @@ def test_a_running_bond_that_only_its_cross_joints_tell_is_found_by_them(
 ):
     # As if no lattice of whole lines, nor one of courses, had been seen.
     monkeypatch.setattr("autoreg.search.glance.lay_combs", lambda *_: None)
-    monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_: ())
+    monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_, **__: ())
     found = find_paving(sight_of(half_photo), half_photo.camera)
     assert isinstance(found, Paving)
     assert found.grid.shift == 0.5

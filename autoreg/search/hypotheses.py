@@ -76,4 +76,4 @@ def hypothesised_along_grain(segments: Segments, camera: Camera, *, walls: bool 
 
 def _alike(one: Float[np.ndarray, "3 3"], other: Float[np.ndarray, "3 3"]) -> bool:
     """Whether two grounds have about the same joints."""
-    return angle_between_rotations(one, other) < ALIKE_RAD
+    return bool(angle_between_rotations(one, other) < ALIKE_RAD)
