@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from autoreg.answer.full_resolution import Laid
-from autoreg.answer.pattern_refusals import Pattern
+from autoreg.answer.pattern_refusals import PatternRefusal
 from autoreg.errors import Refusal
 from autoreg.fine_hue import Hue, finest_hue
 from autoreg.fitting.fit import Fit
@@ -44,8 +44,8 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
         if blamed is not None:
             raise blamed from None
         by_hue = _laid_by_hue(task)
-        # Boards of one column of a pattern look like rows where hue shows them best.
-        if by_hue is None or (isinstance(refusal, Pattern) and _are_rows(by_hue[1])):
+        # Where luminance shows another pattern, hue may show the stones of one of its columns, like rows.
+        if by_hue is None or (isinstance(refusal, PatternRefusal) and _are_rows(by_hue[1])):
             raise
         seen, laid = by_hue
     return _in_joint_tone(seen, laid)

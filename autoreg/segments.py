@@ -118,14 +118,14 @@ def contrast_across(
 
     `size` is the width and height of the photo in whose pixels the segments are, which may be larger.
     """
+    if not len(segments):
+        return np.zeros(0)
     ends = (segments.ends_px + 0.5) * (np.array(picture.shape[::-1]) / size) - 0.5
     along = ends[:, 1] - ends[:, 0]
     across = along[:, ::-1] * [-1.0, 1.0] / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     place = ends[:, None, 0] + ALONG[:, None] * along[:, None]
     sides = [place + side * BESIDE_PX * across[:, None] for side in (1.0, -1.0)]
     u, v = np.moveaxis(np.stack(sides).astype(np.float32), -1, 0)
-    if not len(segments):
-        return np.zeros(0)
     one, other = (
         cv2.remap(picture, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).mean(1)
         for at in zip(u, v, strict=True)

@@ -98,6 +98,12 @@ def test_joints_that_are_missed_by_little_are_no_grain_however_faint(rows_fit: F
     assert said_of(rows_fit, segments_at(rows_fit, place), np.repeat([20.0, 8.0], [100, 150])).contradict
 
 
+def test_fainter_joints_midway_between_those_of_rows_are_no_grain(rows_fit: Fit):
+    place = on_joints(places(np.random.default_rng(9), [-0.5, 1.0], [0.5, 1.8], 250))
+    place[100:, 1] += 0.5 * WIDTH
+    assert said_of(rows_fit, segments_at(rows_fit, place), np.repeat([20.0, 8.0], [100, 150])).contradict
+
+
 def cross_joints(x: np.ndarray, row: np.ndarray) -> CrossJoints:
     """Both edges of joints at such places along their rows."""
     edges = np.concatenate([x - 0.008, x + 0.008])

@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from autoreg import laying_in_tone
 from autoreg.align import align
 from autoreg.answer.full_resolution import Laid
-from autoreg.answer.pattern_refusals import Pattern
+from autoreg.answer.pattern_refusals import PatternRefusal
 from autoreg.errors import Refusal
 from autoreg.fine_hue import DARK, Hue, finest_hue
 from autoreg.ground.sides import Grid
@@ -120,5 +120,5 @@ def test_rows_by_hue_are_none_where_luminance_shows_a_pattern(
         except Refusal as told:
             return told is refusal
 
-    assert refused(Pattern("no_lattice", "stones of several sizes"))
+    assert refused(PatternRefusal("no_lattice", "stones of several sizes"))
     assert not refused(Refusal("no_lattice", "nothing repeats"))

@@ -37,11 +37,11 @@ MOST_INNER = 0.5
 MOST_UNCROSSED, FEWEST_MEETINGS = 0.6, 40
 
 
-class Pattern(Refusal):
+class PatternRefusal(Refusal):
     """The refusal of joints that are plain to see, and are those of another pattern."""
 
 
-def fanned(change: Lean | None) -> Pattern | None:
+def fanned(change: Lean | None) -> PatternRefusal | None:
     """The refusal of joints that turn from row to row as those across arcs do; None if they may not."""
     return _curved(
         change,
@@ -52,7 +52,7 @@ def fanned(change: Lean | None) -> Pattern | None:
     )
 
 
-def turning(turn: Lean | None) -> Pattern | None:
+def turning(turn: Lean | None) -> PatternRefusal | None:
     """The refusal of stones that turn across their field as those of fans do; None if they may not."""
     return _curved(
         turn,
@@ -63,7 +63,7 @@ def turning(turn: Lean | None) -> Pattern | None:
     )
 
 
-def askew(run: Sequence[Directions | None]) -> Pattern | None:
+def askew(run: Sequence[Directions | None]) -> PatternRefusal | None:
     """The refusal of stones both families of whose joints scatter in direction; None if they do not.
 
     Nor if those of either mostly run along the lattice and what is strewn over them does not.
@@ -72,7 +72,7 @@ def askew(run: Sequence[Directions | None]) -> Pattern | None:
     known = [float(np.degrees(family.scatter)) for family in seen]
     if len(known) < len(run) or min(known) < MOST_ASKEW_DEG or max(f.along for f in seen) > MOST_ALONG:
         return None
-    return Pattern(
+    return PatternRefusal(
         "no_lattice",
         f"the joints of these stones run {min(known):.0f} degrees askew of each other (standard deviation), "
         "as those of waves, fans and crazy paving do; photograph slabs in straight rows",
@@ -81,7 +81,7 @@ def askew(run: Sequence[Directions | None]) -> Pattern | None:
     )
 
 
-def off_lattice(turn: Lean | None) -> Pattern | None:
+def off_lattice(turn: Lean | None) -> PatternRefusal | None:
     """The refusal of a lattice across which its stones lie; None if they do not."""
     return _curved(
         turn,
@@ -92,7 +92,7 @@ def off_lattice(turn: Lean | None) -> Pattern | None:
     )
 
 
-def arcs(arc: Arc | None) -> Pattern | None:
+def arcs(arc: Arc | None) -> PatternRefusal | None:
     """The refusal of unbroken joints that bow alike; None if they may be straight."""
     return _curved(
         None if arc is None else Lean(arc.turn, arc.sigma),
@@ -117,11 +117,11 @@ def one_edged(share: float) -> Refusal | None:
     )
 
 
-def filled(inner: float) -> Pattern | None:
+def filled(inner: float) -> PatternRefusal | None:
     """The refusal of a lattice whose slabs are full of edges along its joints; None if they are not."""
     if inner < MOST_INNER:
         return None
-    return Pattern(
+    return PatternRefusal(
         "no_lattice",
         "what repeats here as slabs would is full of joints itself, as herringbone and other patterns of "
         "several stones are; photograph slabs in straight rows",
@@ -130,7 +130,7 @@ def filled(inner: float) -> Pattern | None:
     )
 
 
-def on_module(meet: Meetings) -> Pattern | None:
+def on_module(meet: Meetings) -> PatternRefusal | None:
     """The refusal of joints that meet as those of stones of several sizes do; None if most of them cross.
 
     Where one family alone is hard to see, its joints do not pass through by themselves; where chance hides
@@ -140,7 +140,7 @@ def on_module(meet: Meetings) -> Pattern | None:
         return None
     if 2 * min(meet.x_only, meet.y_only) <= meet.corners:
         return None
-    return Pattern(
+    return PatternRefusal(
         "no_lattice",
         f"at {100 * meet.uncrossed:.0f} % of the places where joints of one lattice would cross, one passes "
         "through alone or another ends at it, as between stones of several sizes; take slabs of one size",
@@ -149,9 +149,9 @@ def on_module(meet: Meetings) -> Pattern | None:
     )
 
 
-def _curved(turn: Lean | None, most_deg: float, sure_sigmas: float, message: str) -> Pattern | None:
+def _curved(turn: Lean | None, most_deg: float, sure_sigmas: float, message: str) -> PatternRefusal | None:
     """The refusal, by a message about its degrees, of a turn that is clear; None of one that is not."""
     degrees = None if turn is None else turn.clear_deg(most_deg, sure_sigmas)
     if degrees is None:
         return None
-    return Pattern("no_lattice", message.format(degrees), measured=round(degrees, 1), limit=most_deg)
+    return PatternRefusal("no_lattice", message.format(degrees), measured=round(degrees, 1), limit=most_deg)

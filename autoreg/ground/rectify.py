@@ -22,7 +22,8 @@ from autoreg.camera import Camera
 FLAT_GRADIENT = 0.15
 # Joints are narrow: what changes more slowly than this is not of them.
 SHADING_PX = 6.0
-# Where strength counts, gradients are bounded at so many times their neighbourhood's mean.
+# Where strength counts, gradients have half of the most that they may at so many times their neighbourhood's
+# mean; else at the mean.
 STRONG = 3.0
 # Rows of the ground that are sampled at a time.
 ROWS = 64
@@ -32,7 +33,7 @@ ROWS = 64
 class Family:
     """Evidence for the lines of one family: row i of `evidence` is the line at `offset[i]`.
 
-    `evidence` is the gradient across the line, divided by its neighbourhood's mean: it lies in [-1, 1], so
+    `evidence` is the gradient across the line beside its neighbourhood's mean: it lies in [-1, 1], so
     that neither a bright object nor a hard shadow outvotes the joints. `along` are the ground coordinates
     of its columns. `strong` is whether a line is told from others by how strong its gradients are, else by
     how much they agree.
@@ -230,9 +231,9 @@ def line_support(family: Family, edges: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Support of each line between successive columns `edges`, and the number of visible samples.
 
     Coherence is |sum e| / sqrt(sum e^2): about one for texture, the root of the number of samples for a
-    joint. The lines of a grain agree as much as joints do, and are weaker: strength is |sum e| over the root
-    of the number of samples. Each piece is judged by itself because in a checker floor the gradient's sign
-    alternates along the line.
+    joint. The lines of a grain agree as much as joints do, and are weaker: of a `strong` family it is the
+    strength, |sum e| over the root of the number of samples. Each piece is judged by itself because in a
+    checker floor the gradient's sign alternates along the line.
     """
     e, m = family.evidence, family.visible
     number = np.searchsorted(edges, np.arange(e.shape[1]), side="right") - 1

@@ -54,8 +54,8 @@ class Looks:
         return Look(picture_gradient(unshaded(self.picture)), self.fine.lines, self.fine.strong)
 
     @cached_property
-    def strong(self) -> Looks:
-        """Both looks for strong lines: joints among a grain that runs along them."""
+    def by_strength(self) -> Looks:
+        """The same looks, for strong lines: joints among a grain that runs along them."""
         coarse, fine = (replace(look, strong=True) for look in (self.coarse, self.fine))
         return Looks(self.picture, coarse, fine)
 

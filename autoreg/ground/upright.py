@@ -23,7 +23,7 @@ LEVEL_RAD = np.radians(6.0)
 def possible_up(up: Float[np.ndarray, "*k 3"], spare_rad: float = 0.0) -> Bool[np.ndarray, "*k"]:
     """Whether the normal of a ground, pointing to the camera's side, has a roll that cameras have.
 
-    Or has it when turned by `spare_rad`.
+    Or would have it but for `spare_rad`, by which either limit is wider.
     """
     return (up[..., 2] < -np.cos(STEEP_RAD + spare_rad)) | hardly_rolled(up, spare_rad)
 

@@ -59,7 +59,8 @@ def lay_lattice(
     """The lattices that several starts on a plane lead to, the one that explains the picture best first.
 
     Where both families repeat as whole lines, they are the start. A running bond seen from afar, or one with
-    an unusual shift, shows its cross joints only course by course. All looks at the picture give starts.
+    an unusual shift, shows its cross joints only course by course. All looks at the picture give starts, of
+    which no more than `most_starts` are tried after the first.
     """
     found: list[Paving] = []
     tried: list[_Start] = []

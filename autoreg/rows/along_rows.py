@@ -24,6 +24,10 @@ AROUND = 1.0
 # They lie on a joint if their middles are no farther from it than this share of a row's width; a quarter of
 # those at any place do.
 ON_JOINT = 0.12
+# Farther from the joints than this share of a row's width is midway between them.
+MIDWAY = 0.25
+# What lies anywhere is no more than so many times as dense midway as beside the joints, by chance.
+FAR_LESS = 1.5
 # Shares of their length that lie on joints, in the field and with all that is around it, must be larger.
 LEAST_IN_FIELD, LEAST_AROUND = 0.75, 0.5
 
@@ -72,9 +76,18 @@ def along_rows(
 
 
 def _share(length: np.ndarray, off: np.ndarray, faint: np.ndarray) -> float:
-    """The share of some segments that lies on joints, without what is as likely to lie anywhere."""
-    # Rows are as wide on either side of their middles, where there are no joints, as on either side of these.
-    anywhere = 2.0 * float((length * faint)[off > 0.25].sum())
-    whole = float(length.sum()) - anywhere
-    on_joint = float(length[off < ON_JOINT].sum()) - 2.0 * ON_JOINT * anywhere
-    return float(np.clip(on_joint / whole, 0.0, 1.0)) if whole > 0.0 else 1.0
+    """The share of some segments that lies on joints, without what is as likely to lie anywhere.
+
+    That is as much as is seen of it midway between the joints, unless there is far less beside them.
+    """
+    whole, on_joint = float(length.sum()), float(length[off < ON_JOINT].sum())
+    if whole == 0.0:
+        return 1.0
+    # Were it as dense everywhere as it is in either band.
+    beside, midway = (
+        0.5 * float((length * faint)[(off > low) & (off < high)].sum()) / (high - low)
+        for low, high in ((ON_JOINT, MIDWAY), (MIDWAY, 0.5))
+    )
+    anywhere = min(midway, FAR_LESS * beside)
+    on_joint -= 2.0 * ON_JOINT * anywhere
+    return float(np.clip(on_joint / max(whole - anywhere, on_joint, 1e-9), 0.0, 1.0))

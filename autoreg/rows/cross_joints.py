@@ -21,8 +21,9 @@ RIGHT_RAD, OBLIQUE_RAD = np.radians(4.0), np.radians(15.0)
 # Length of a cross joint's segments, in widths of a row.
 SHORTEST, LONGEST = 0.3, 1.4
 # Longer segments at right angles are joints that run on through what then are no rows: their share of the
-# length is 0.03 at the most in rows, and 0.4 to 0.6 where the ends of boards were taken for rows.
-MOST_LONGER = 0.3
+# length is 0.03 at the most in rows, and 0.4 to 0.6 where the ends of boards were taken for rows. Fewer of
+# them than this are a kerb or a shadow.
+MOST_LONGER, FEWEST_LONGER = 0.3, 4
 # Segments this close along a row, in its widths, are of one joint: they are its edges, or parts of them.
 ONE_JOINT = 0.15
 # ... and those within this share of a slab of a lattice's cross joint, or of its edges, are of it.
@@ -48,7 +49,8 @@ MEDIAN_LOSS = 1.2533
 class CrossJoints:
     """Segments at right angles to the unbroken joints: where they lie, and their evidence against chance.
 
-    `longer` is the share of the length of segments at right angles that is of longer ones.
+    `longer` is the share of the length of segments at right angles that is of some which are longer than a
+    cross joint may be; zero where these are few.
     """
 
     middle: Float[np.ndarray, "n 2"]
@@ -57,7 +59,7 @@ class CrossJoints:
 
     @property
     def run_through(self) -> bool:
-        """Whether most joints at right angles run on through several rows."""
+        """Whether so many joints at right angles run on through several rows that these are none."""
         return self.longer > MOST_LONGER
 
 
@@ -112,7 +114,10 @@ def find_cross_joints(
     angle = np.abs(np.arctan2(along[:, 1], along[:, 0])) % np.pi
     off_right = np.abs(angle - np.pi / 2)
     crossing, length_px = off_right < RIGHT_RAD, segments.length_px[index]
-    longer = float(length_px[crossing & ~fitting].sum()) / max(float(length_px[crossing].sum()), 1e-9)
+    beyond = crossing & ~fitting
+    longer = (
+        float(length_px[beyond].sum() / length_px[crossing].sum()) if beyond.sum() >= FEWEST_LONGER else 0.0
+    )
     right = crossing & fitting
     oblique = (off_right > OBLIQUE_RAD) & (off_right < np.pi / 2 - OBLIQUE_RAD) & fitting
     # A half observed besides keeps an empty field from proving anything.
@@ -220,9 +225,9 @@ def _in_field(
     *,
     longest: float = LONGEST,
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2 2"]]:
-    """Index and ground ends of the field's segments that are as long as a cross joint may be.
+    """Index and ground ends of the field's segments that are as long as a cross joint, or up to `longest`.
 
-    A cross joint lies between two unbroken ones, and is a good part of a row long. `longest` is in rows.
+    A cross joint lies between two unbroken ones, and is a good part of a row long. Lengths are in rows.
     """
     ground = on_ground(segments.ends_px, camera, fit.cam_from_ground)
     middle = ground.mean(1)

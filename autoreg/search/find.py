@@ -26,7 +26,7 @@ from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, field
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
 
-# Strong lines lead to a lattice by one of the first three starts, if they do at all.
+# Strong lines lead to a lattice by the first start on a ground or these after it, if they do at all.
 FEW_STARTS = 2
 # Fewer segments than this do not tell that all run in one direction.
 FEWEST_SEGMENTS = 20
@@ -69,6 +69,7 @@ def find_paving(
         best = glance
     if best and best[0].margin_nats > 0:
         return _unrivalled(best)
+    # By grounds that are at hand: to find others takes longer.
     others, stronger = search.strongest()
     if not _is_ground(others):
         others = search.by_other_focals(planes) if camera is None else search.further(camera)
@@ -129,7 +130,7 @@ class _Search:
 
     def strongest(self) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
         """The best lattices on the grounds whose lines are strongest, and these grounds."""
-        return self._promising(self.looks.strong, self.hypotheses, FEW_STARTS)
+        return self._promising(self.looks.by_strength, self.hypotheses, FEW_STARTS)
 
     def by_other_focals(self, planes: list[PlaneCombs]) -> tuple[Paving, ...]:
         """What is plain to see on the clearest ground by another focal length."""

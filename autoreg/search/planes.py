@@ -70,7 +70,7 @@ def lay_promising(
     hypotheses: list[Hypothesis],
     lay: Callable[[PlaneCombs], tuple[Paving, ...]],
     *,
-    free_focal: bool = False,
+    free_focal: bool,
 ) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
     """The best lattices on those grounds whose joints are clear as they came, if any are, and the grounds."""
     planes = planes_as_they_came(looks, hypotheses)

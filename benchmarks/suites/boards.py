@@ -34,7 +34,7 @@ CORNERS = np.array([[i, j, 0.0] for j in range(ROWS) for i in range(COLUMNS)], n
 # Corners are searched for within this share of the least distance of two of them, and of so many pixels.
 WINDOW, WINDOW_PX = 0.35, (3, 11)
 # What counts as right, in degrees, and as wrong where nothing is said against the camera; a height that is
-# off by more, as a share of itself, is never right.
+# off by more than this share of the true one is wrong.
 RIGHT_DEG, WRONG_DEG, RIGHT_HEIGHT = 0.3, 1.0, 0.02
 # Fewer boards than this make no calibration.
 FEWEST = 5
@@ -217,7 +217,7 @@ def _table(found: list[Outcome]) -> Table:
     for group in dict.fromkeys(o.view.group for o in found):
         own = [o for o in found if o.view.group == group]
         aligned = [o for o in own if not o.reason]
-        turns, heights = ([getattr(o, name) for o in aligned] for name in ("turn_deg", "height_off"))
+        turns, heights = [o.turn_deg for o in aligned], [o.height_off for o in aligned]
         rows.append(
             (
                 group,
