@@ -19,7 +19,6 @@ FEW_SIDES = 16
 # joints.
 FRONTAL_SIGMAS = 1.5
 FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(LEVEL_RAD))
-
 # A picture that spans fewer grey levels, but for a hundredth of it at either end, shows nothing. Joints of a
 # contrast of five levels are found.
 LEAST_LEVELS = 3.0

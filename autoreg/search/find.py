@@ -21,7 +21,7 @@ from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows
 from autoreg.search.glance import at_a_glance
 from autoreg.search.hypotheses import hypothesised, hypothesised_along_grain, hypothesised_thoroughly
-from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, lay_planes, lay_promising
+from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, is_there, lay_planes, lay_promising
 from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, fields_of_rows, rows_alone
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
@@ -67,17 +67,17 @@ def find_paving(
     # By another focal length what is plain to see may have the slab's shape.
     if camera is None and not is_plain(best) and is_plain(glance):
         best = glance
-    if best and best[0].margin_nats > 0:
+    if is_there(best):
         return _unrivalled(best)
     # By grounds that are at hand: to find others takes longer.
     others, stronger = search.strongest()
     if not _is_ground(others):
         others = search.by_other_focals(planes) if camera is None else search.further(camera)
-    if others and others[0].margin_nats > 0:
+    if is_there(others):
         return _unrivalled(others)
     fields = fields_of_rows(sight.looks, search.segments, sight.size, [*planes, *stronger])
     others = search.suitable(by_cross_joints(sight.looks, fields, search.free))
-    if others and others[0].margin_nats > 0:
+    if is_there(others):
         return _unrivalled(others)
     rows = rows_alone(fields)
     if rows is None:
@@ -160,9 +160,7 @@ def _is_ground(pavings: tuple[Paving, ...]) -> bool:
 
     From a ground that may, the joints may have led to one that may not.
     """
-    if not pavings or pavings[0].margin_nats <= 0:
-        return False
-    return bool(possible_up(pavings[0].fit.cam_from_ground.R[:, 2], LED_RAD))
+    return is_there(pavings) and bool(possible_up(pavings[0].fit.cam_from_ground.R[:, 2], LED_RAD))
 
 
 def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving | None:

@@ -58,10 +58,7 @@ def lay_planes(
     others = [plane for plane in planes[1:] if not clear or plane.score > LESS_CLEAR * planes[0].score]
     others = sharpened(looks, segments, others, SHARPENED - 1, free_focal=free_focal)
     ranked = sorted([first, *others], key=lambda plane: -plane.score)[:MOST_PLANES]
-    for plane in ranked:
-        if plane is not first and not is_plain(best):
-            best = _better(best, lay(plane))
-    return best, ranked
+    return _laid_on([plane for plane in ranked if plane is not first], best, lay), ranked
 
 
 def lay_promising(
@@ -77,16 +74,28 @@ def lay_promising(
     least = STRONG_NATS if looks.fine.strong else PROMISING_NATS
     promising = [plane for plane in planes if plane.score > least][:MOST_PLANES]
     ranked = sharpened(looks, segments, promising, free_focal=free_focal)
-    best: tuple[Paving, ...] = ()
-    for plane in ranked:
-        if not is_plain(best):
-            best = _better(best, lay(plane))
-    return best, ranked
+    return _laid_on(ranked, (), lay), ranked
+
+
+def _laid_on(
+    planes: list[PlaneCombs], best: tuple[Paving, ...], lay: Callable[[PlaneCombs], tuple[Paving, ...]]
+) -> tuple[Paving, ...]:
+    """The best of these lattices and of those on some planes, which are looked into until one is plain."""
+    for plane in planes:
+        if is_plain(best):
+            break
+        best = _better(best, lay(plane))
+    return best
 
 
 def _better(best: tuple[Paving, ...], others: tuple[Paving, ...]) -> tuple[Paving, ...]:
     """Those lattices of the two whose first explains the picture better."""
     return max(best, others, key=lambda pavings: pavings[0].margin_nats if pavings else -np.inf)
+
+
+def is_there(pavings: tuple[Paving, ...]) -> bool:
+    """Whether the first of some lattices does better than chance."""
+    return bool(pavings) and pavings[0].margin_nats > 0
 
 
 def is_plain(pavings: tuple[Paving, ...]) -> bool:
