@@ -72,7 +72,17 @@ def detect_segments(gray: UInt8[np.ndarray, "h w"], *, options: SegmentOptions |
     LSD: Grompone von Gioi et al., "LSD: a Line Segment Detector", IPOL 2012. It runs at its own scale 1.0 on
     levels that are reduced here, because its built-in reduction (scale 0.8) forgets the half pixel between
     pixel centres and corners and so moves every segment by (-0.12, -0.12) px.
+
+    Raises:
+        ValueError: the picture is no array of h x w grey levels of 8 bits.
     """
+    shape, kind = getattr(gray, "shape", ()), getattr(gray, "dtype", type(gray).__name__)
+    if len(shape) != 2 or 0 in shape or kind != np.uint8:
+        got = f"{' x '.join(map(str, shape))} of {kind}" if shape else kind
+        raise ValueError(
+            f"gray must be an array of h x w of uint8, got {got}; autoreg.load_photo(path).gray is that of "
+            "a file"
+        )
     return begin_detection(gray, options=options).all
 
 

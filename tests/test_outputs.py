@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 
 from autoreg.errors import InputError
-from autoreg.jobs.outputs import clear_results, kept_apart, results_in, usable_folder, write_png, write_whole
+from autoreg.jobs.outputs import (
+    clear_results,
+    kept_apart,
+    results_in,
+    usable_folder,
+    whole_run,
+    write_png,
+    write_whole,
+)
 
 
 def test_a_file_that_could_not_be_written_keeps_its_old_content(tmp_path, monkeypatch):
@@ -59,3 +67,16 @@ def test_what_is_read_is_not_written_over(tmp_path, name):
     with pytest.raises(InputError, match="written over"):
         kept_apart((tmp_path / "link.png",), results_in(tmp_path))
     kept_apart((tmp_path / name, tmp_path / "absent.png"), results_in(tmp_path / "elsewhere"))
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path, monkeypatch):
+    def refuse(*args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(type(tmp_path), "mkdir", refuse)
+    with (
+        pytest.raises(InputError, match=r"cannot be written in .*new: No space left.*another folder with -o"),
+        whole_run(tmp_path / "new", print),
+    ):
+        pass
+    assert not (tmp_path / "new").exists()

@@ -145,3 +145,18 @@ def test_a_selection_keeps_the_columns_together():
     assert some.length_px.tolist() == [1.0]
     assert some.sigma_px.tolist() == [0.2]
     assert some.level.tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    ("picture", "got"),
+    [
+        (None, "got NoneType"),
+        ("photo.jpg", "got str"),
+        (np.zeros((80, 100, 3), np.uint8), "got 80 x 100 x 3 of uint8"),
+        (np.zeros((80, 100)), "got 80 x 100 of float64"),
+        (np.zeros((0, 100), np.uint8), "got 0 x 100 of uint8"),
+    ],
+)
+def test_what_is_no_grey_picture_is_named(picture, got):
+    with pytest.raises(ValueError, match=f"h x w of uint8, {got}; .*load_photo"):
+        detect_segments(picture)

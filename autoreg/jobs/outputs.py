@@ -125,10 +125,18 @@ def whole_run(folder: Path, note: Callable[[str], None]) -> Generator[Path]:
     """A hidden folder for a run's results, which take their places in `folder` when all of them are there.
 
     Only then do an earlier run's give way, and they stay if anything fails; `note` is told what is kept.
+
+    Raises:
+        InputError: the folder cannot be made, or takes no files.
     """
     fresh = not folder.exists()
-    folder.mkdir(parents=True, exist_ok=True)
-    hidden = Path(tempfile.mkdtemp(prefix=".run-", dir=folder))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        hidden = Path(tempfile.mkdtemp(prefix=".run-", dir=folder))
+    except OSError as error:
+        raise InputError(
+            f"the results cannot be written in {folder}: {error.strerror}; give another folder with -o"
+        ) from error
     try:
         yield hidden
         keep_edited(folder, note)
