@@ -20,6 +20,8 @@ from autoreg.task import Task
 
 # A wall stands at a right angle on the ground; by a wrong focal length at one that is larger than this.
 ACROSS_RAD = np.radians(45.0)
+# Refusals of a lattice that is no longer there at the photo's own resolution.
+NOT_THERE = {"no_lattice", "one_direction", "too_few_joints"}
 
 
 def lay(task: Task) -> Laid:
@@ -49,7 +51,7 @@ def lay_where(task: Task, found: Paving | Rows) -> Laid:
     try:
         laid = _measured(task, found)
     except Refusal as refusal:
-        if isinstance(found, Rows) or refusal.code != "no_lattice":
+        if isinstance(found, Rows) or refusal.code not in NOT_THERE:
             raise
         # What is no lattice at the photo's own resolution, rows may have looked like: on that ground, or else
         # they are lines of a pattern of several stones, by which the ground is another one.

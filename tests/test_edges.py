@@ -210,9 +210,13 @@ def test_the_stated_scatter_of_the_offsets_is_that_of_the_texture(grain_px: floa
     assert 0.5 < error.std() / np.sqrt(np.mean(sigma**2)) < 1.5
 
 
-def support(profiles: Profiles, polarity: int, width: float = 2.0, room: float = 8.0) -> np.ndarray:
+def support(
+    profiles: Profiles, polarity: int, width: float = 2.0, room: float = 8.0, *, paired: bool = False
+) -> np.ndarray:
     kinds = np.full(len(profiles.values), polarity)
-    return strip_support(profiles, each(width, profiles), 0.9, 1.0, each(room, profiles), kinds)
+    return strip_support(
+        profiles, each(width, profiles), 0.9, 1.0, each(room, profiles), kinds, paired=paired
+    )
 
 
 def test_support_is_high_for_a_joint_of_the_right_kind_alone():
@@ -226,6 +230,16 @@ def test_support_is_high_for_a_joint_of_the_right_kind_alone():
     assert as_light[0] < 0.1
     # Tiles of two tones may meet without a joint, so a bare edge counts where joints are neither.
     assert as_any[2] > 0.9
+
+
+def test_a_light_line_beside_a_dark_one_is_a_joint_where_these_are_looked_for():
+    pair = strip_values(-1.0, 2.0, 0.9, joint=190.0) + strip_values(1.0, 2.0, 0.9, joint=110.0) - 150.0
+    profiles = profiles_of(pair, strip_values(0.4, 2.0, 0.9))
+    # No strip of one tone has it, and no step.
+    assert support(profiles, 0)[0] < 0.8
+    assert (support(profiles, 0, paired=True) > 0.9).all()
+    # What is known to be dark is held against dark strips in either case.
+    assert np.array_equal(support(profiles, -1, paired=True), support(profiles, -1))
 
 
 def test_support_falls_when_the_joint_lies_elsewhere():

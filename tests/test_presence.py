@@ -21,7 +21,7 @@ from autoreg.joints.joint_looks import Strip
 from autoreg.paving.lattice_evidence import line_evidence
 from autoreg.paving.presence import GROUND_COST, Presence, p_llr
 from autoreg.paving.side_support import CLOSE, looked_at_closer, presence_of
-from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
+from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
 from benchmarks.suites.robust import square_seen
 
 DARK = Strip((0.01, 0.01), 0.8, (-1, -1))
@@ -59,6 +59,28 @@ def test_on_gravel_the_p_values_are_uniform(gravel_photo: SyntheticPhoto):
     for level in (0.1, 0.3, 0.5, 0.8):
         # Sides beside one another see the same stones, so that the spread is wider than a binomial's.
         assert np.mean(p <= level) == pytest.approx(level, abs=0.1)
+
+
+def test_sides_with_a_light_line_beside_a_dark_one_are_there():
+    # A light bed, and on its far side the wall in the shade.
+    scene = SyntheticScene(kind="gravel", noise_grey=0.0)
+    u, v = np.meshgrid(np.arange(scene.camera.width), np.arange(scene.camera.height))
+    ground = on_ground(np.stack([u, v], -1).astype(float), scene.camera, scene.cam_from_ground)
+    rng = np.random.default_rng(3)
+    slabs = 110.0 + 36.0 * cv2.GaussianBlur(rng.normal(size=u.shape), (0, 0), 1.0)
+    joints, away = np.zeros(u.shape), (ground[..., 1] / 0.4 + 0.5) % 1.0 - 0.5
+    joints[(away > -0.02) & (away <= 0.0)] = 45.0
+    joints[(away > 0.0) & (away < 0.02)] = -45.0
+    picture = cv2.GaussianBlur((slabs + joints).astype(np.float32), (0, 0), 0.8)
+    laid = Laid(scene.camera, scene.cam_from_ground, Grid(0.6, 0.4), Strip((0.016, 0.016), 0.8, (0, 0)))
+    presence = presence_of(picture, laid)
+    along, across = (presence.p[presence.sides.family == family] for family in (ALONG_X, ALONG_Y))
+    # As steps, or strips of one tone, a quarter of them are.
+    assert np.mean(along < 0.1) > 0.6
+    assert np.mean(across < 0.1) < 0.25
+    # Either family was looked at in two ways.
+    assert presence.looks_nats == pytest.approx(2 * np.log(2.0))
+    assert presence_of(picture, laid._replace(strip=DARK)).looks_nats == 0.0
 
 
 def test_a_joint_of_the_other_tone_is_not_there(stack_photo: SyntheticPhoto):

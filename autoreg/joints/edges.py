@@ -58,34 +58,36 @@ def _candidates(halves: int) -> Float[np.ndarray, " c"]:
     return 0.5 * np.arange(-halves, halves + 1)
 
 
-# The same strips are held against a photo's profiles again and again.
+# The same looks are held against a photo's profiles again and again.
 @lru_cache(maxsize=128)
-def _strips(
+def _looks(
     samples: int, halves: int, width: float, blur: float
-) -> Float32[np.ndarray, "{samples} {4*halves+2}"]:
-    """Steps at all candidates, and behind them strips of one width, as columns of so many samples.
+) -> Float32[np.ndarray, "{samples} {6*halves+3}"]:
+    """Steps at all candidates, behind them strips of one width, and pairs of a light and a dark one.
 
-    Both are orthonormal and without mean, which makes the explained variance a sum of squares. The strip's
-    sign is that of a light one.
+    As columns of so many samples, which are orthonormal at each candidate and without mean: that makes the
+    explained variance a sum of squares. The strip's sign is that of a light one.
     """
     s = (np.arange(samples) - samples // 2) * STEP_PX - _candidates(halves)[:, None]
-    near, far = (edge(single((s + side * 0.5 * width) / blur)).astype(float) for side in (1.0, -1.0))
-    step, strip = near + far, near - far
-    for column in (step, strip):
-        column -= column.mean(1, keepdims=True)
-    step /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), LEAST_NORM)
-    strip -= (step * strip).sum(1, keepdims=True) * step
-    # Where one edge lies beyond the samples a strip is no more than a step.
-    strip /= np.maximum(np.linalg.norm(strip, axis=1, keepdims=True), LEAST_NORM)
-    both = np.ascontiguousarray(single(np.concatenate([step, strip])).T)
-    both.setflags(write=False)
-    return both
+    near, middle, far = (edge(single((s + side * width) / blur)).astype(float) for side in (1.0, 0.0, -1.0))
+    near_rim, far_rim = (edge(single((s + side * 0.5 * width) / blur)).astype(float) for side in (1.0, -1.0))
+    columns: list[np.ndarray] = []
+    for column in (near_rim + far_rim, near_rim - far_rim, near - 2.0 * middle + far):
+        own = column - column.mean(1, keepdims=True)
+        for other in columns:
+            own -= (other * own).sum(1, keepdims=True) * other
+        # Where one edge lies beyond the samples a strip is no more than a step.
+        columns.append(own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), LEAST_NORM))
+    every = np.ascontiguousarray(single(np.concatenate(columns)).T)
+    every.setflags(write=False)
+    return every
 
 
-def _explained(centred: Float32[np.ndarray, "n p"], strips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Components of profiles along the step and along the strip, for each centre: two arrays (n, c)."""
-    both, c = centred @ strips, strips.shape[1] // 2
-    return both[:, :c], both[:, c:]
+def _explained(centred: Float32[np.ndarray, "n p"], looks: np.ndarray, kinds: int = 2) -> list[np.ndarray]:
+    """Components of profiles along so many kinds of looks, for each centre: arrays (n, c)."""
+    count = looks.shape[1] // 3
+    every = centred @ looks[:, : kinds * count]
+    return [every[:, k * count : (k + 1) * count] for k in range(kinds)]
 
 
 def _alike(
@@ -116,7 +118,7 @@ def search_offsets(
         values = profiles.values[np.ix_(rows, inside)]
         centred = values - values.mean(1, keepdims=True)
         total = (centred**2).sum(1, keepdims=True) + 1e-6
-        step, strip = _explained(centred, _strips(int(inside.sum()), halves, width, blur))
+        step, strip = _explained(centred, _looks(int(inside.sum()), halves, width, blur))
         left = np.maximum(total - step**2 - strip**2, 1e-3 * total + 1e-6)
         likelihood = -0.5 * INDEPENDENT * inside.sum() * np.log(left) - prior
         best[rows] = candidates[likelihood.argmax(1)]
@@ -180,12 +182,15 @@ def strip_support(
     tolerance_px: float,
     room_px: Float[np.ndarray, " n"],
     polarity: Int[np.ndarray, " n"],
+    *,
+    paired: bool = False,
 ) -> Float[np.ndarray, " n"]:
     """Share of each profile's variance that a strip within `tolerance_px` of the predicted place explains.
 
     Only what lies within `room_px` of the place is looked at, so that a neighbouring joint has no say. Where
     the joints are known to be dark or light, a step of tone alone is no joint, nor is a strip of the other
-    kind.
+    kind. Those that are neither are steps, or strips of any kind; or, `paired`, a light strip and a dark one
+    side by side in any shares, as a light bed and the shade of a wall are, and a step alone is none.
     """
     at = profiles.at_px
     halves = int(2 * tolerance_px)
@@ -196,10 +201,11 @@ def strip_support(
         centred = values - values.mean(1, keepdims=True)
         # A grey level of noise keeps flat profiles from scoring by chance.
         total = ((centred**2).sum(1) + 0.5 * inside.sum())[:, None]
-        step, strip = _explained(centred, _strips(int(inside.sum()), halves, width, blur))
-        sign = polarity[rows, None]
-        lined = np.where(strip * sign > 0, strip**2 / (total - step**2), 0.0)
-        support[rows] = np.where(sign == 0, (step**2 + strip**2) / total, lined).max(1)
+        step, strip, pair = _explained(centred, _looks(int(inside.sum()), halves, width, blur), 3)
+        sign, beside = polarity[rows, None], total - step**2
+        lined = np.where(strip * sign > 0, strip**2 / beside, 0.0)
+        neutral = (strip**2 + pair**2) / beside if paired else (step**2 + strip**2) / total
+        support[rows] = np.where(sign == 0, neutral, lined).max(1)
     return support
 
 

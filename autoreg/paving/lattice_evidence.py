@@ -98,11 +98,11 @@ def presented(
     presence = presence_of(picture, fit, CLOSE, field=within)
     thorough = replace(paving, presence=presence, evidence_nats=line_evidence(presence, fit.grid))
     better = max(paving, thorough, key=lambda p: p.margin_nats)
-    price = 0.5 * GROUND_COST
     closer = looked_at_closer(picture, fit, better.presence, CLOSE if better is thorough else USUAL)
     if _breaks_off(closer, few=True):
         return None
     x, y = _evidence_of(closer, fit.grid)
+    price = 0.5 * (GROUND_COST + closer.looks_nats)
     alone = replace(better, evidence_nats=(x - price, y - price), closer=closer)
     return max(better, alone, key=lambda p: p.margin_nats)
 

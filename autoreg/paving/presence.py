@@ -37,7 +37,8 @@ class Presence:
     """The `support` of each side, `p`, its p-value among all controls, its length and place in the picture.
 
     `beaten` is the share of its own controls that have as much support. In clutter beside smooth slabs any
-    place has more than most controls, but no more than its own.
+    place has more than most controls, but no more than its own. `looks_nats` is the price of what the sides
+    look like, where that was chosen by the support they get so.
     """
 
     sides: Sides
@@ -46,6 +47,7 @@ class Presence:
     support: Float[np.ndarray, " n"]
     beaten: Float[np.ndarray, " n"]
     at_px: Float[np.ndarray, "n 2"]
+    looks_nats: float = 0.0
 
     @property
     def there(self) -> Bool[np.ndarray, " n"]:
@@ -85,6 +87,7 @@ class Presence:
             self.support[rows],
             self.beaten[rows],
             self.at_px[rows],
+            self.looks_nats,
         )
 
     @cached_property
@@ -95,12 +98,13 @@ class Presence:
     @cached_property
     def possible_fields(self) -> tuple[tuple[Bool[np.ndarray, " n"], float], ...]:
         """Sides that may be all there is of the paving, each choice of them with its price in nats."""
+        share_cost, box_cost = SHARE_COST + self.looks_nats, BOX_COST + self.looks_nats
         if len(self.p) == 0:
-            return ((np.zeros(0, dtype=bool), SHARE_COST),)
-        fields = [(self.largest(share), SHARE_COST) for share in FIELD_SHARES]
+            return ((np.zeros(0, dtype=bool), share_cost),)
+        fields = [(self.largest(share), share_cost) for share in FIELD_SHARES]
         boxes = picture_boxes(self.at_px)
         best = int((self.llr_by_missed @ np.array(boxes, float).T).max(0).argmax())
-        return (*fields, (boxes[best], BOX_COST))
+        return (*fields, (boxes[best], box_cost))
 
 
 def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
@@ -109,3 +113,8 @@ def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
     Its exponential has expectation one under the null, which makes the product over sides an e-value.
     """
     return np.log((1 - missed) * SHARPNESS * p ** (SHARPNESS - 1) + missed)
+
+
+def likeliest_llr(p: Float[np.ndarray, " n"]) -> float:
+    """Log likelihood ratio in nats of sides with such p-values, for the share of missed ones that suits."""
+    return max(float(p_llr(p, missed).sum()) for missed in MISSED)

@@ -20,7 +20,7 @@ from autoreg.joints.edges import strip_support
 from autoreg.joints.joint_looks import Strip
 from autoreg.joints.profiles import sample_profiles
 from autoreg.paving.paved_part import likeliest_box
-from autoreg.paving.presence import Presence
+from autoreg.paving.presence import Presence, likeliest_llr
 
 # The controls lie between these shares of the spacing off the predicted joint. Few sides get many controls
 # each, so that the p-values are fine enough.
@@ -118,16 +118,31 @@ def _presence_of_sides(
     controls = int(np.clip(np.ceil(effort.controls / n), CONTROLS_AT_LEAST, CONTROLS_AT_MOST))
     shares = np.r_[0.0, np.linspace(*CONTROL_RANGE, controls)]
     support, half_px, at_px = support_beside(picture, lattice, sides, shares, effort.along)
-    p = np.ones(n)
+    p, looks_nats = np.ones(n), 0.0
     for family in (ALONG_X, ALONG_Y):
-        members = np.flatnonzero(sides.family == family)
-        members = members[np.argsort(half_px[members], kind="stable")]
-        for rows in np.array_split(members, max(1, min(SIZE_BINS, len(members) // BIN_AT_LEAST))):
-            beside = np.sort(support[1:, rows].ravel())
-            above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
-            p[rows] = (1 + above) / (1 + len(beside))
+        rows = np.flatnonzero(sides.family == family)
+        p[rows] = _ranked(support[:, rows], half_px[rows])
+        if lattice.strip.polarity[family] != 0 or len(rows) == 0:
+            continue
+        # Neither dark nor light: they may be steps, or lines of two tones. Whichever is likelier.
+        looks_nats += float(np.log(2.0))
+        paired, _, _ = support_beside(picture, lattice, sides.take(rows), shares, effort.along, paired=True)
+        other = _ranked(paired, half_px[rows])
+        if likeliest_llr(other) > likeliest_llr(p[rows]):
+            p[rows], support[:, rows] = other, paired
     beaten = (support[1:] >= support[0]).mean(0)
-    return Presence(sides, p, 2.0 * half_px, support[0], beaten, at_px)
+    return Presence(sides, p, 2.0 * half_px, support[0], beaten, at_px, looks_nats)
+
+
+def _ranked(support: Float[np.ndarray, "k n"], half_px: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """The p-value of each side of a family, by its support among that of controls about as large."""
+    p = np.ones(len(half_px))
+    order = np.argsort(half_px, kind="stable")
+    for rows in np.array_split(order, max(1, min(SIZE_BINS, len(order) // BIN_AT_LEAST))):
+        beside = np.sort(support[1:, rows].ravel())
+        above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
+        p[rows] = (1 + above) / (1 + len(beside))
+    return p
 
 
 def support_beside(
@@ -136,10 +151,13 @@ def support_beside(
     sides: Sides,
     shares: Float[np.ndarray, " k"],
     along: int = USUAL.along,
+    *,
+    paired: bool = False,
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Support of places that lie so many shares of the spacing beside each side, the first of them on it.
 
-    With half the measured length of the sides in pixels, and where their middles are.
+    With half the measured length of the sides in pixels, and where their middles are. `paired` is as for
+    `strip_support`.
     """
     across = np.array(lattice.grid.slab_size[::-1])[sides.family]
     direction = np.where(sides.family[:, None] == ALONG_X, [[0.0, 1.0]], [[1.0, 0.0]])
@@ -166,5 +184,6 @@ def support_beside(
         TOLERANCE_PX,
         np.clip(room, 3.0, 8.0),
         np.array(lattice.strip.polarity)[stations.family],
+        paired=paired,
     )
     return support.reshape(repeat, n), half * profiles.px_per_unit[:n], profiles.centre_px[:n]
