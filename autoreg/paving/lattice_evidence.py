@@ -86,19 +86,39 @@ def presented(
 ) -> Paving | None:
     """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do.
 
-    Where a convex part of the ground is given, in the fit's frame, the sides `within` it alone.
+    Where a convex part of the ground is given, in the fit's frame, the sides `within` it alone. Joints that
+    are neither dark nor light are steps of tone; beside a clear family they may be lines of two tones.
     """
-    presence = presence or presence_of(picture, fit, field=within)
+    paving = _presented(picture, fit, presence or presence_of(picture, fit, field=within), within)
+    if paving is None or paving.plain or all(fit.strip.polarity):
+        return paving
+    if max(paving.evidence_nats) < 0.5 * TESTED_NATS:
+        return paving
+    pairs = presence_of(picture, fit, field=within, paired=True)
+    other = _presented(picture, fit, pairs, within, paired=True) if pairs.looks_nats else None
+    return paving if other is None else max(paving, other, key=lambda p: p.margin_nats)
+
+
+def _presented(
+    picture: Float[np.ndarray, "h w"],
+    fit: Fit,
+    presence: Presence,
+    within: Float[np.ndarray, "k 2"] | None,
+    *,
+    paired: bool = False,
+) -> Paving | None:
+    """A fit with the presence of its sides, looked at more closely where it is neither plain nor nothing."""
     if len(presence.p) < 6 or _breaks_off(presence.nearest(0.5)):
         return None
     paving = Paving(fit, presence, line_evidence(presence, fit.grid), within=within)
     if not NOTHING_NATS < paving.margin_nats < PLAIN_NATS:
         return paving
     # Noise hides joints that more samples show; where slabs are uneven, these show no more.
-    presence = presence_of(picture, fit, CLOSE, field=within)
+    presence = presence_of(picture, fit, CLOSE, field=within, paired=paired)
     thorough = replace(paving, presence=presence, evidence_nats=line_evidence(presence, fit.grid))
     better = max(paving, thorough, key=lambda p: p.margin_nats)
-    closer = looked_at_closer(picture, fit, better.presence, CLOSE if better is thorough else USUAL)
+    effort = CLOSE if better is thorough else USUAL
+    closer = looked_at_closer(picture, fit, better.presence, effort, paired=paired)
     if _breaks_off(closer, few=True):
         return None
     x, y = _evidence_of(closer, fit.grid)

@@ -60,11 +60,13 @@ def lay_lattice(
 
     Where both families repeat as whole lines, they are the start. A running bond seen from afar, or one with
     an unusual shift, shows its cross joints only course by course. All looks at the picture give starts, of
-    which no more than `most_starts` are tried after the first.
+    which no more than `most_starts` are tried after the first. A coarse one shows joints more clearly than
+    what is finer, but where there is a grain it takes thin ones for a part of that.
     """
     found: list[Paving] = []
     tried: list[_Start] = []
-    for start in _starts((looks.coarse, looks.fine, looks.unshaded), plane):
+    ordered = (looks.fine, looks.coarse) if looks.fine.strong else (looks.coarse, looks.fine)
+    for start in _starts((*ordered, looks.unshaded), plane):
         if any(start.like(other) for other in tried):
             continue
         # The first start may be refined to a finer lattice whose joints its own miss.

@@ -38,7 +38,7 @@ class Presence:
 
     `beaten` is the share of its own controls that have as much support. In clutter beside smooth slabs any
     place has more than most controls, but no more than its own. `looks_nats` is the price of what the sides
-    look like, where that was chosen by the support they get so.
+    look like, where they were found to look otherwise than most do.
     """
 
     sides: Sides

@@ -30,6 +30,8 @@ CONTROLS_AT_MOST, CONTROLS_AT_LEAST = 48, 3
 LEAST_SIDE_PX = 8.0
 # How far a joint may lie from where it is predicted.
 TOLERANCE_PX = 1.5
+# One family in twenty of those that are neither dark nor light may be of lines of two tones.
+PAIRED_COST = float(np.log(20.0))
 # Sides are compared with controls about as large in the picture.
 SIZE_BINS, BIN_AT_LEAST = 4, 25
 
@@ -79,10 +81,13 @@ def presence_of(
     *,
     only: int | None = None,
     field: Float[np.ndarray, "k 2"] | None = None,
+    paired: bool = False,
 ) -> Presence:
     """How well each visible side of a lattice is supported by the picture of its camera.
 
-    Only those of the family `only`, if that is given, and of a convex counter-clockwise `field`.
+    Only those of the family `only`, if that is given, and of a convex counter-clockwise `field`. Joints that
+    are neither dark nor light are taken for steps of tone; where `paired`, for a light line beside a dark one
+    if that makes them likelier, which has its price.
     """
     sides = visible_sides(
         lattice.camera,
@@ -93,11 +98,16 @@ def presence_of(
         only=only,
         field=field,
     )
-    return _presence_of_sides(picture, lattice, sides, effort)
+    return _presence_of_sides(picture, lattice, sides, effort, paired=paired)
 
 
 def looked_at_closer(
-    picture: Float[np.ndarray, "h w"], lattice: LatticeSeen, presence: Presence, effort: Effort
+    picture: Float[np.ndarray, "h w"],
+    lattice: LatticeSeen,
+    presence: Presence,
+    effort: Effort,
+    *,
+    paired: bool = False,
 ) -> Presence:
     """The sides in the box of the ground that is likeliest to be paved, held against places in it alone.
 
@@ -105,11 +115,13 @@ def looked_at_closer(
     on what grows or lies around it. The choice of the box costs `GROUND_COST`.
     """
     box = likeliest_box(presence.sides.middle, presence.llr_by_missed)
-    return _presence_of_sides(picture, lattice, presence.sides.take(np.flatnonzero(box)), effort)
+    return _presence_of_sides(
+        picture, lattice, presence.sides.take(np.flatnonzero(box)), effort, paired=paired
+    )
 
 
 def _presence_of_sides(
-    picture: Float[np.ndarray, "h w"], lattice: LatticeSeen, sides: Sides, effort: Effort
+    picture: Float[np.ndarray, "h w"], lattice: LatticeSeen, sides: Sides, effort: Effort, *, paired: bool
 ) -> Presence:
     n = len(sides)
     if n == 0:
@@ -122,14 +134,13 @@ def _presence_of_sides(
     for family in (ALONG_X, ALONG_Y):
         rows = np.flatnonzero(sides.family == family)
         p[rows] = _ranked(support[:, rows], half_px[rows])
-        if lattice.strip.polarity[family] != 0 or len(rows) == 0:
+        if not paired or lattice.strip.polarity[family] != 0 or len(rows) == 0:
             continue
-        # Neither dark nor light: they may be steps, or lines of two tones. Whichever is likelier.
-        looks_nats += float(np.log(2.0))
-        paired, _, _ = support_beside(picture, lattice, sides.take(rows), shares, effort.along, paired=True)
-        other = _ranked(paired, half_px[rows])
-        if likeliest_llr(other) > likeliest_llr(p[rows]):
-            p[rows], support[:, rows] = other, paired
+        pairs, _, _ = support_beside(picture, lattice, sides.take(rows), shares, effort.along, paired=True)
+        other = _ranked(pairs, half_px[rows])
+        if likeliest_llr(other) > likeliest_llr(p[rows]) + PAIRED_COST:
+            p[rows], support[:, rows] = other, pairs
+            looks_nats += PAIRED_COST
     beaten = (support[1:] >= support[0]).mean(0)
     return Presence(sides, p, 2.0 * half_px, support[0], beaten, at_px, looks_nats)
 

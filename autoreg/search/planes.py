@@ -69,12 +69,18 @@ def lay_promising(
     *,
     free_focal: bool,
 ) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
-    """The best lattices on those grounds whose joints are clear as they came, if any are, and the grounds."""
+    """The best lattices on those grounds whose joints are clear as they came, if any are, and the grounds.
+
+    Where lines are told by their strength, most segments may be those of a grain, by which a ground is not
+    sharpened but led astray: the clearest one is looked into as it came as well.
+    """
     planes = planes_as_they_came(looks, hypotheses)
     least = STRONG_NATS if looks.fine.strong else PROMISING_NATS
     promising = [plane for plane in planes if plane.score > least][:MOST_PLANES]
     ranked = sharpened(looks, segments, promising, free_focal=free_focal)
-    return _laid_on(ranked, (), lay), ranked
+    astray = promising[:1] if looks.fine.strong else []
+    astray = [plane for plane in astray if not any(plane is other for other in ranked)]
+    return _laid_on([*ranked, *astray], (), lay), ranked
 
 
 def _laid_on(
