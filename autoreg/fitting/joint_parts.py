@@ -6,13 +6,13 @@ are seen alike share, and the other slab's. Mostly the bed is dark, and the othe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Int
 
 from autoreg.fitting.fit import Fit
 from autoreg.joints.strips import INDEPENDENT, edge, single
@@ -104,11 +104,15 @@ def fit_parts(side: Side, parts: Parts) -> tuple[Float[np.ndarray, " n"], Float[
     The tones of both slabs and of the dark part are free, that of the part in the light is a multiple of the
     slabs' mean.
     """
-    every = (FARTHEST * parts.width * side.px_per_unit + FARTHEST_PX) / STEPS
-    columns, left = _drawn(side, parts, every[:, None] * np.arange(-STEPS, STEPS + 1))
-    weight, samples = single(side.weight)[:, None, :], side.weight.sum(1)[:, None]
-    total = _dot(weight * left, left)
-    squares = np.maximum(total - _explained(columns, weight, left, RIDGE * samples), 0.0) / samples
+    return _fitted(side, parts, _products(side, parts, _places(side, parts.width)))
+
+
+def _fitted(
+    side: Side, parts: Parts, products: Float[np.ndarray, "5 5 n k"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """The same from the products along the profiles, which the tone of the part in the light leaves alone."""
+    samples = side.weight.sum(1)[:, None]
+    squares = np.maximum(_left_over(_in_tone(products, parts.tone), RIDGE * samples), 0.0) / samples
     best = np.clip(squares.argmin(1), 1, 2 * STEPS - 1)
     rows = np.arange(len(best))
     before, least, after = (squares[rows, best + k] for k in (-1, 0, 1))
@@ -116,62 +120,74 @@ def fit_parts(side: Side, parts: Parts) -> tuple[Float[np.ndarray, " n"], Float[
     beyond = np.where(bend > 0, 0.5 * (before - after) / np.where(bend > 0, bend, 1.0), 0.0)
     beyond = np.clip(beyond, -1.0, 1.0)
     least = least - 0.25 * (before - after) * beyond
-    return np.log(np.maximum(least, 0.0) + ROUGH**2), every * (best - STEPS + beyond)
+    return np.log(np.maximum(least, 0.0) + ROUGH**2), _step_px(side, parts.width) * (best - STEPS + beyond)
 
 
 def bed_tone(side: Side, parts: Parts) -> float:
     """Tone of what a joint shows beside its part in the light, against the slabs': the median of all."""
-    columns, left = _drawn(side, parts, fit_parts(side, parts)[1][:, None])
-    A = np.stack(columns, -1)[:, 0].astype(float)
-    weighted = side.weight[..., None] * A
-    normal = weighted.swapaxes(1, 2) @ A + RIDGE * side.weight.sum(1)[:, None, None] * np.eye(len(columns))
-    tones = 1.0 + np.linalg.solve(normal, weighted.swapaxes(1, 2) @ left.astype(float).swapaxes(1, 2))[..., 0]
+    products = _products(side, parts, fit_parts(side, parts)[1][:, None])
+    A = np.moveaxis(_in_tone(products, parts.tone)[..., 0], -1, 0)
+    normal = A[:, :3, :3] + RIDGE * side.weight.sum(1)[:, None, None] * np.eye(3)
+    tones = 1.0 + np.linalg.solve(normal, A[:, :3, 3:])[..., 0]
     return float(np.median(2.0 * tones[:, 2] / (tones[:, 0] + tones[:, 1])))
 
 
-def _drawn(
-    side: Side, parts: Parts, places_px: Float[np.ndarray, "n k"]
-) -> tuple[tuple[Float32[np.ndarray, "n k p"], ...], Float32[np.ndarray, "n k p"]]:
-    """What the near slab's, the far slab's and the bed's tone add to profiles of joints at some places.
+def _step_px(side: Side, width: float) -> Float[np.ndarray, " n"]:
+    return (FARTHEST * width * side.px_per_unit + FARTHEST_PX) / STEPS
 
-    The tones are those beyond the slabs' on the whole. With them what is left of the profiles for these.
+
+def _places(side: Side, width: float) -> Float[np.ndarray, "n k"]:
+    """Places that are tried for joints of such a width, in pixels."""
+    return _step_px(side, width)[:, None] * np.arange(-STEPS, STEPS + 1)
+
+
+def _products(side: Side, parts: Parts, places_px: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "5 5 n k"]:
+    """Weighted sums along profiles of the products of all that parts at some places look like, two by two.
+
+    That is the near slab, the far slab, the bed and the part in the light, each by itself and of unit tone,
+    and what the profiles have beyond the slabs' tone. Whatever tone the part in the light has, all that is
+    asked of it is in these.
     """
-    width, level, height, tone = parts
+    width, level, height, _ = parts
     at = single(side.away_px / side.blur_px)[:, None, :] - single(places_px / side.blur_px)[..., None]
     edges = single(0.5 * width * side.px_per_unit / side.blur_px)[:, None, None]
     near, far = edge(at + edges), edge(at - edges)
     lit = single(np.clip(level + height * side.slope, 0.0, 1.0))[:, None, None]
     light = edge(at - (1 - 2 * lit) * edges) - far if level or height else np.zeros_like(far)
-    shared = np.float32(0.5 * tone) * light
-    left = single(side.tones - 1.0)[:, None, :] - np.float32(tone - 1.0) * light
-    return (1 - near + shared, far + shared, near - far - light), left
+    beyond = np.broadcast_to(single(side.tones - 1.0)[:, None, :], far.shape)
+    looks, weight = (1 - near, far, near - far - light, light, beyond), single(side.weight)[:, None, :]
+    products = np.empty((5, 5, *places_px.shape))
+    for i, one in enumerate(looks):
+        weighted = weight * one
+        for j in range(i, 5):
+            products[i, j] = products[j, i] = np.einsum("nkp,nkp->nk", weighted, looks[j])
+    return products
 
 
-def _explained(
-    columns: Sequence[np.ndarray], weight: np.ndarray, left: np.ndarray, ridge: np.ndarray
-) -> Float[np.ndarray, "n k"]:
-    """What columns explain of the weighted squares along profiles, their heights held by a ridge.
+def _in_tone(products: Float[np.ndarray, "5 5 n k"], tone: float) -> Float[np.ndarray, "4 4 n k"]:
+    """The products of what the tones of near slab, far slab and bed add to profiles, and of what is left.
+
+    The part in the light is so many times as light as both slabs on the mean, and adds to theirs.
+    """
+    shared = np.array(
+        [[1, 0, 0, 0.5 * tone, 0], [0, 1, 0, 0.5 * tone, 0], [0, 0, 1, 0, 0], [0, 0, 0, 1 - tone, 1]]
+    )
+    return np.tensordot(shared, np.tensordot(shared, products, 1), (1, 1))
+
+
+def _left_over(products: Float[np.ndarray, "4 4 n k"], ridge: np.ndarray) -> Float[np.ndarray, "n k"]:
+    """What three columns leave of the weighted squares along profiles, their heights held by a ridge.
 
     By elimination, column by column, of all profiles at once.
     """
-    weighted, count = [weight * column for column in columns], len(columns)
-    right = [_dot(column, left) for column in weighted]
-    normal = {(i, j): _dot(weighted[i], columns[j]) for i in range(count) for j in range(i, count)}
-    explained = np.zeros(right[0].shape)
-    for i in range(count):
-        pivot = normal[i, i] + ridge
-        explained += right[i] ** 2 / pivot
-        for j in range(i + 1, count):
-            ratio = normal[i, j] / pivot
-            right[j] = right[j] - ratio * right[i]
-            for k in range(j, count):
-                normal[j, k] = normal[j, k] - ratio * normal[i, k]
-    return explained
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "n k"]:
-    """Sums of products along profiles."""
-    return np.einsum("nkp,nkp->nk", a, b).astype(float)
+    left = products.copy()
+    for i in range(3):
+        pivot = left[i, i] + ridge
+        for j in range(i + 1, 4):
+            ratio = left[i, j] / pivot
+            for k in range(j, 4):
+                left[j, k] = left[j, k] - ratio * left[i, k]
+    return left[3, 3]
 
 
 def likelihood_of(side: Side) -> Callable[[Parts], float]:
@@ -179,8 +195,12 @@ def likelihood_of(side: Side) -> Callable[[Parts], float]:
     values = 0.5 * INDEPENDENT * side.weight.sum(1)
 
     @cache
+    def products(width: float, level: float, height: float) -> np.ndarray:
+        return _products(side, Parts(width, level, height), _places(side, width))
+
+    @cache
     def nats(parts: Parts) -> float:
-        return -float(values @ fit_parts(side, parts)[0])
+        return -float(values @ _fitted(side, parts, products(*parts[:3]))[0])
 
     return nats
 
