@@ -21,7 +21,7 @@ from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern
 from autoreg.paving.plane_combs import comb_planes
 from autoreg.paving.presence import Presence
-from autoreg.paving.side_support import CLOSE, USUAL, Effort, presence_of
+from autoreg.paving.side_support import CLOSE, PAIRED_COST, USUAL, Effort, presence_of
 from autoreg.segments import detect_segments
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto
@@ -211,6 +211,30 @@ def test_an_unclear_lattice_is_judged_by_the_look_that_shows_it_better(
     assert paving.presence is better
 
 
+@pytest.mark.parametrize(("polarity", "clear"), [(0, True), (-1, False)])
+def test_lines_of_two_tones_are_looked_for_where_steps_leave_one_family_in_doubt(
+    stack_fit: Fit, stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch, polarity: int, clear: bool
+):
+    gray, rng = gray_of(stack_photo), np.random.default_rng(5)
+
+    def look(picture: np.ndarray, fit: Fit, effort: Effort = USUAL, *, paired: bool = False, **_: object):
+        presence = presence_of(gray, stack_fit, effort)
+        hidden = (presence.sides.family == ALONG_X) & (not paired)
+        p = np.where(hidden, rng.uniform(size=len(presence.p)), presence.p)
+        return replace(presence, p=p, looks_nats=PAIRED_COST if paired else 0.0)
+
+    def closer(picture: np.ndarray, fit: Fit, presence: Presence, *_: object, **__: object) -> Presence:
+        return presence
+
+    monkeypatch.setattr("autoreg.paving.lattice_evidence.presence_of", look)
+    monkeypatch.setattr("autoreg.paving.lattice_evidence.looked_at_closer", closer)
+    strip = replace(stack_fit.strip, polarity=(polarity, -1))
+    paving = presented(gray, replace(stack_fit, strip=strip))
+    assert (paving is not None and paving.plain) == clear
+    if paving is not None:
+        assert paving.presence.looks_nats == (PAIRED_COST if clear else 0.0)
+
+
 @pytest.mark.parametrize("gaps", [False, True])
 def test_a_small_field_whose_joints_break_off_as_those_of_herringbone_is_no_lattice(
     stack_fit: Fit, stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch, gaps: bool
@@ -218,7 +242,7 @@ def test_a_small_field_whose_joints_break_off_as_those_of_herringbone_is_no_latt
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 12.0))
     cuts = gaps & (sides.family == ALONG_Y) & ((sides.line - sides.cell) % 4 == 1)
     closer = drawn_presence(sides, ~cuts, np.random.default_rng(3))
-    monkeypatch.setattr("autoreg.paving.lattice_evidence.looked_at_closer", lambda *_: closer)
+    monkeypatch.setattr("autoreg.paving.lattice_evidence.looked_at_closer", lambda *_, **__: closer)
     monkeypatch.setattr("autoreg.paving.lattice_evidence.PLAIN_NATS", np.inf)
     assert (presented(gray_of(stack_photo), stack_fit) is None) == gaps
 
