@@ -18,9 +18,6 @@ FEW_SIDES = 16
 # from level than the second, may be a wall's: the search for the ground cannot drop such a wall for its plumb
 # joints.
 FRONTAL_SIGMAS = 1.5
-# A camera that looks down within so much of plumb may not know which way it is held, and its photos lie on
-# their side, or on their head.
-LAID_FLAT_DEG = 15.0
 FRONTAL_DEG, LEVEL_DEG = float(np.degrees(FRONTAL_RAD)), float(np.degrees(LEVEL_RAD))
 # A picture that spans fewer grey levels, but for a hundredth of it at either end, shows nothing. Joints of a
 # contrast of five levels are found.
@@ -102,10 +99,9 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
     """The refusal of courses seen from the front, level in the picture: a brick wall as likely as a floor.
 
     With the pose's covariance those that may as well be seen from the front are refused too, and so is what
-    recedes downwards: the wall below the eye of somebody who looks down. So are joints that are ground only
-    for a camera that was rolled far, and a wall for one that was held upright. Squares seen from the front
-    are those of a floor seen from above, and squares without joints may be those of a board that somebody
-    holds up.
+    recedes downwards: the wall below the eye of somebody who looks down. So are courses that are ground only
+    for a camera that was rolled far, and a wall for one that was held upright. Squares may be those of a
+    board that somebody holds up.
     """
     R = fit.cam_from_ground.R
     tilt = float(np.arccos(np.clip(-R[2, 2], -1.0, 1.0)))
@@ -117,10 +113,11 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
         tilt_deg -= FRONTAL_SIGMAS * float(np.rad2deg(sigma))
     skew_deg = float(np.rad2deg(np.arcsin(np.abs(R[0, :2]).min())))
     stack = fit.grid.spacing_x is not None and fit.grid.shift == 0.0
-    lined = any(fit.strip.polarity)
-    if like_upright_wall(R) and (lined and tilt_deg > LAID_FLAT_DEG if stack else tilt_deg > FRONTAL_DEG):
+    if stack:
+        return None
+    if tilt_deg > FRONTAL_DEG and like_upright_wall(R):
         return _upright(R)
-    if stack or skew_deg > LEVEL_DEG:
+    if skew_deg > LEVEL_DEG:
         return None
     if tilt_deg > FRONTAL_DEG:
         return _upside_down(R) if R[1, 2] > 0 else None

@@ -87,10 +87,11 @@ def presented(
     """A fit with the presence of its sides; None if they are too few, or break off as those of no bond do.
 
     Where a convex part of the ground is given, in the fit's frame, the sides `within` it alone. Joints that
-    are neither dark nor light are steps of tone; beside a clear family they may be lines of two tones.
+    are neither dark nor light are steps of tone; where these do no better than chance beside a clear family,
+    they may be lines of two tones.
     """
     paving = _presented(picture, fit, presence or presence_of(picture, fit, field=within), within)
-    if paving is None or paving.plain or all(fit.strip.polarity):
+    if paving is None or paving.margin_nats > 0 or all(fit.strip.polarity):
         return paving
     if max(paving.evidence_nats) < 0.5 * TESTED_NATS:
         return paving
