@@ -298,9 +298,18 @@ def test_where_the_larger_field_is_refused_the_other_is_the_answer(
             align(two_fields, CAMERA, camera_height=1.7)
 
 
-@pytest.mark.parametrize(("turn_deg", "answered"), [(0.3, True), (6.0, False)])
-def test_rows_in_place_of_a_refused_lattice_lie_on_its_ground(
-    two_fields: np.ndarray, monkeypatch: pytest.MonkeyPatch, turn_deg: float, answered: bool
+@pytest.mark.parametrize(
+    ("turn_deg", "code", "answered"),
+    [
+        (0.3, "no_lattice", True),
+        (0.3, "one_direction", True),
+        (0.3, "too_few_joints", True),
+        (0.3, "not_ground", False),
+        (6.0, "no_lattice", False),
+    ],
+)
+def test_rows_in_place_of_a_lattice_that_is_not_there_lie_on_its_ground(
+    two_fields: np.ndarray, monkeypatch: pytest.MonkeyPatch, turn_deg: float, code: str, answered: bool
 ) -> None:
     sight, found = found_in(two_fields)
     turn = rotation_from_vector(np.radians([turn_deg, 0.0, 0.0]))
@@ -309,7 +318,7 @@ def test_rows_in_place_of_a_refused_lattice_lie_on_its_ground(
     rows = Rows(paving, CrossJoints(np.zeros((0, 2)), 50.0), np.zeros(2))
 
     def measured(task: Task, what: Paving | Rows) -> object:
-        raise Refusal("no_lattice", "measured as rows" if what is rows else "of several stones")
+        raise Refusal(code, "measured as rows" if what is rows else "of several stones")
 
     monkeypatch.setattr(laying, "_measured", measured)
     monkeypatch.setattr(laying, "find_rows", lambda *_: rows)
