@@ -61,7 +61,7 @@ class Presence:
     @cached_property
     def llr_by_missed(self) -> Float[np.ndarray, "missed n"]:
         """Log likelihood ratios in nats of all sides being there, for each share of missed ones."""
-        return np.array([p_llr(self.p, missed) for missed in MISSED])
+        return each_llr(self.p)
 
     def largest(self, share: float) -> Bool[np.ndarray, " n"]:
         """Which sides are of the given share that is largest in the picture."""
@@ -115,6 +115,11 @@ def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
     return np.log((1 - missed) * SHARPNESS * p ** (SHARPNESS - 1) + missed)
 
 
+def each_llr(p: Float[np.ndarray, " n"]) -> Float[np.ndarray, "missed n"]:
+    """Log likelihood ratios in nats of sides with such p-values, for each share of missed ones."""
+    return np.array([p_llr(p, missed) for missed in MISSED])
+
+
 def likeliest_llr(p: Float[np.ndarray, " n"]) -> float:
-    """Log likelihood ratio in nats of sides with such p-values, for the share of missed ones that suits."""
-    return max(float(p_llr(p, missed).sum()) for missed in MISSED)
+    """The log likelihood ratio of all of them together, for the share of missed ones that suits."""
+    return float(each_llr(p).sum(1).max())

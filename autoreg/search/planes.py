@@ -78,9 +78,8 @@ def lay_promising(
     least = STRONG_NATS if looks.fine.strong else PROMISING_NATS
     promising = [plane for plane in planes if plane.score > least][:MOST_PLANES]
     ranked = sharpened(looks, segments, promising, free_focal=free_focal)
-    astray = promising[:1] if looks.fine.strong else []
-    astray = [plane for plane in astray if not any(plane is other for other in ranked)]
-    return _laid_on([*ranked, *astray], (), lay), ranked
+    as_it_came = [plane for plane in promising[:1] if looks.fine.strong and id(plane) not in map(id, ranked)]
+    return _laid_on([*ranked, *as_it_came], (), lay), ranked
 
 
 def _laid_on(
