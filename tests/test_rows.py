@@ -11,6 +11,7 @@ from autoreg.align import align
 from autoreg.errors import Refusal
 from autoreg.ground.sight import looks_at, see
 from autoreg.image import as_gray
+from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.plane_combs import PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows, gaps_in_turn, lay_rows
 from autoreg.search.find import find_paving
@@ -112,7 +113,9 @@ def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(
     monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_, **__: ())
     with pytest.raises(Refusal) as refused:
         find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA)
-    assert refused.value.code == "one_direction"
+    refusal = refused.value
+    assert (refusal.code, refusal.measured) == ("one_direction", min(evidence))
+    assert refusal.limit == pytest.approx(FALSE_ALARM_NATS, abs=0.01)
 
 
 def test_joints_that_break_off_regularly_are_herringbone_and_no_rows():
@@ -165,6 +168,16 @@ def test_rows_that_do_no_better_than_chance_by_the_camera_they_lead_to_are_refus
     with pytest.raises(Refusal) as refused:
         align(photo, CAMERA, camera_height=1.6)
     assert refused.value.code == "no_lattice"
+
+
+def test_a_lattice_that_cannot_be_measured_at_full_resolution_is_refused_for_that(
+    stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("autoreg.answer.full_resolution.refine_until_still", lambda *_, **__: None)
+    with pytest.raises(Refusal) as refused:
+        align(stack_photo.pixels, stack_photo.camera)
+    assert (refused.value.code, refused.value.measured) == ("no_lattice", None)
+    assert "cannot be measured" in refused.value.message
 
 
 @pytest.mark.usefixtures("a_lattice_comes_first")

@@ -19,7 +19,7 @@ from autoreg.answer.pattern_refusals import (
     one_edged,
     turning,
 )
-from autoreg.answer.refusals import ambiguous, maybe_wall, no_lattice
+from autoreg.answer.refusals import ambiguous, maybe_wall, no_lattice, not_measured
 from autoreg.answer.right_angles import Squared, square_up
 from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal
@@ -208,7 +208,7 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
             free=free, search=NARROW, reach=REACH, strip=looks, field=field,
         )  # fmt: skip
         if fit is None:
-            raise no_lattice(paving, None)
+            raise not_measured(len(paving.presence.p))
         return fit
 
     fit = measured(coarse)
@@ -257,7 +257,7 @@ def _settled_rows(small: np.ndarray, fit: Fit, rows: Rows) -> Paving:
     """
     presence = presence_of(small, fit)
     if len(presence.p) < 6:
-        raise no_lattice(None, rows)
+        raise not_measured(len(presence.p))
     lines, _ = line_evidence(presence, fit.grid)
     settled = replace(rows, paving=Paving(fit, presence, (lines, rows.paving.evidence_nats[1])))
     if settled.margin_nats < 0:

@@ -44,18 +44,19 @@ def no_lattice(best: Paving | None, rows: Rows | None, one_way: float = 0.0) -> 
 
     `one_way` is the share of all segments' length that runs in one direction, where that was looked at.
     """
-    single = 0.5 * TESTED_NATS + FALSE_ALARM_NATS
-    strongest = max(
-        (e for e in (*(best.evidence_nats if best else ()), rows.paving.evidence_nats[0] if rows else 0.0)),
-        default=0.0,
-    )
-    if strongest > single:
+    families = [(0.0, 0.0, 0.0)]
+    if best is not None:
+        families.append((max(best.evidence_nats), min(best.evidence_nats), 0.5 * TESTED_NATS))
+    if rows is not None:
+        families.append((*rows.paving.evidence_nats, FALSE_ALARM_NATS))
+    clearer, other, least = max(families)
+    if clearer > 0.5 * TESTED_NATS + FALSE_ALARM_NATS:
         return Refusal(
             "one_direction",
             "only one family of parallel joints repeats here, and the joints across it could be chance, so "
             "the pose is not determined; take a photo that shows joints in both directions",
-            measured=round(min(best.evidence_nats) if best else 0.0, 2),
-            limit=round(0.5 * TESTED_NATS, 2),
+            measured=round(other, 2),
+            limit=round(least, 2),
         )
     if one_way > ONE_WAY:
         return Refusal(
@@ -81,6 +82,16 @@ def no_lattice(best: Paving | None, rows: Rows | None, one_way: float = 0.0) -> 
         "rows of slabs and their cross joints are clearly seen",
         measured=round(evidence, 2),
         limit=round(TESTED_NATS + FALSE_ALARM_NATS, 2),
+    )
+
+
+def not_measured(sides: int) -> Refusal:
+    """The refusal of joints, of so many slab sides, that are seen at detection scale alone."""
+    return Refusal(
+        "no_lattice",
+        f"what looks like {sides} sides of slabs where the picture is made smaller cannot be measured as "
+        "joints at the photo's own resolution; take a sharper photo, in which two or more rows of slabs and "
+        "their cross joints are clearly seen",
     )
 
 
