@@ -8,14 +8,17 @@ import pytest
 from paved import CAMERA, STACK
 
 from autoreg.align import align
+from autoreg.answer.full_resolution import measured_slabs
 from autoreg.errors import Refusal
 from autoreg.ground.sight import looks_at, see
 from autoreg.image import as_gray
 from autoreg.paving.bond import FALSE_ALARM_NATS
+from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.plane_combs import PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows, gaps_in_turn, lay_rows
 from autoreg.search.find import find_paving
 from autoreg.segments import Segments, detect_segments
+from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto
 
 PX_PER_M, EXTENT_M = 160, 8.0
@@ -111,6 +114,7 @@ def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(
     monkeypatch.setattr("autoreg.search.rows_on_planes.lay_rows", lambda *_: hardly)
     monkeypatch.setattr("autoreg.search.glance.lay_combs", lambda *_: None)
     monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_, **__: ())
+    monkeypatch.setattr("autoreg.search.find._Search.further", lambda *_: ())
     with pytest.raises(Refusal) as refused:
         find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA)
     refusal = refused.value
@@ -173,9 +177,12 @@ def test_rows_that_do_no_better_than_chance_by_the_camera_they_lead_to_are_refus
 def test_a_lattice_that_cannot_be_measured_at_full_resolution_is_refused_for_that(
     stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
 ):
+    sight = see(as_gray(stack_photo.pixels))
+    found = find_paving(sight, CAMERA)
+    assert isinstance(found, Paving)
     monkeypatch.setattr("autoreg.answer.full_resolution.refine_until_still", lambda *_, **__: None)
     with pytest.raises(Refusal) as refused:
-        align(stack_photo.pixels, stack_photo.camera)
+        measured_slabs(sight, as_gray(stack_photo.pixels).astype(np.float32), found, Free(), None)
     assert (refused.value.code, refused.value.measured) == ("no_lattice", None)
     assert "cannot be measured" in refused.value.message
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
-from autoreg.fitting.measure import NARROW, measure
+from autoreg.fitting.measure import NARROW, Measured, measure
 from autoreg.fitting.scatter import beside_rim, scatter_model
 from autoreg.geometry import Rigid
 from autoreg.ground.points import project_ground
@@ -70,9 +70,11 @@ def refine(
     fit: Fit | None = None
     for reach in reaches:
         before = (camera, cam_from_ground, grid)
-        now = _round(
-            picture, camera, cam_from_ground, grid, strip, free, search, reach, field, limit, most_steps
-        )
+        found = measure(
+            picture, camera, cam_from_ground, grid, strip,
+            search=search, reach=reach, field=field, limit=limit,
+        )  # fmt: skip
+        now = None if found is None else _laid_on(found, *before, free, search, most_steps)
         if now is None:
             return fit
         fit = now
@@ -133,22 +135,10 @@ def _motion_px(fit: Fit, camera: Camera, pose: Rigid, grid: Grid) -> float:
     return float(np.sqrt(np.mean(across**2)))
 
 
-def _round(
-    picture: np.ndarray,
-    camera: Camera,
-    pose: Rigid,
-    grid: Grid,
-    strip: Strip | None,
-    free: Free,
-    search: float,
-    reach: float,
-    field: np.ndarray | None,
-    limit: int,
-    most_steps: int,
+def _laid_on(
+    found: Measured, camera: Camera, pose: Rigid, grid: Grid, free: Free, search: float, most_steps: int
 ) -> Fit | None:
-    found = measure(picture, camera, pose, grid, strip, search=search, reach=reach, field=field, limit=limit)
-    if found is None:
-        return None
+    """The lattice laid on joints as they were measured, where a state had them; None if it runs away."""
     stations, profiles, offsets, usable = found.stations, found.profiles, found.offsets, found.usable
     sigma = np.hypot(offsets.sigma_px, 0.3)
     fit: Fit | None = None
