@@ -14,9 +14,10 @@ from autoreg.ground.sight import looks_at, see
 from autoreg.image import as_gray
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import Paving
-from autoreg.paving.plane_combs import PlaneCombs, comb_planes
+from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows, gaps_in_turn, lay_rows
 from autoreg.search.find import find_paving
+from autoreg.search.rows_on_planes import crossed
 from autoreg.segments import Segments, detect_segments
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto
@@ -114,12 +115,32 @@ def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(
     monkeypatch.setattr("autoreg.search.rows_on_planes.lay_rows", lambda *_: hardly)
     monkeypatch.setattr("autoreg.search.glance.lay_combs", lambda *_: None)
     monkeypatch.setattr("autoreg.search.find.lay_lattice", lambda *_, **__: ())
-    monkeypatch.setattr("autoreg.search.find._Search.further", lambda *_: ())
+    monkeypatch.setattr("autoreg.search.find._Search.further", lambda *_, **__: ())
     with pytest.raises(Refusal) as refused:
         find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA)
     refusal = refused.value
     assert (refusal.code, refusal.measured) == ("one_direction", min(evidence))
     assert refusal.limit == pytest.approx(FALSE_ALARM_NATS, abs=0.01)
+
+
+def test_no_ground_is_turned_about_rows_whose_cross_joints_are_plain(monkeypatch: pytest.MonkeyPatch):
+    def turned_about(*_: object, **__: object) -> list[Hypothesis]:
+        raise AssertionError
+
+    monkeypatch.setattr("autoreg.search.find._Search.strongest", lambda *_: ((), []))
+    monkeypatch.setattr("autoreg.search.find.hypothesised_thoroughly", lambda *_, **__: [])
+    monkeypatch.setattr("autoreg.search.find.hypothesised_along_grain", turned_about)
+    assert isinstance(find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA), Rows)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "plain"), [((60.0, 45.0), True), ((60.0, 35.0), False), ((9.0, 45.0), False)]
+)
+def test_cross_joints_are_plain_only_between_rows_that_are_there(
+    ashlar_rows: Rows, evidence: tuple[float, float], plain: bool
+):
+    rows = replace(ashlar_rows, paving=replace(ashlar_rows.paving, evidence_nats=evidence))
+    assert crossed([(rows, PlaneCombs(CAMERA, STACK.cam_from_ground.R, (), ()))]) == plain
 
 
 def test_joints_that_break_off_regularly_are_herringbone_and_no_rows():

@@ -22,7 +22,7 @@ from autoreg.rows.rows import Rows
 from autoreg.search.glance import at_a_glance
 from autoreg.search.hypotheses import hypothesised, hypothesised_along_grain, hypothesised_thoroughly
 from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, is_there, lay_planes, lay_promising
-from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, fields_of_rows, rows_alone
+from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, crossed, fields_of_rows, rows_alone
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
 
@@ -71,11 +71,15 @@ def find_paving(
         return _unrivalled(best)
     # By grounds that are at hand: to find others takes longer.
     others, stronger = search.strongest()
-    if not _is_ground(others):
-        others = search.by_other_focals(planes) if camera is None else search.further(camera)
-    if is_there(others):
+    if _is_ground(others):
         return _unrivalled(others)
     fields = fields_of_rows(sight.looks, search.segments, sight.size, [*planes, *stronger])
+    if camera is None:
+        others = search.by_other_focals(planes)
+    else:
+        others = search.further(camera, along_grain=not crossed(fields))
+    if is_there(others):
+        return _unrivalled(others)
     others = search.suitable(by_cross_joints(sight.looks, fields, search.free))
     if is_there(others):
         return _unrivalled(others)
@@ -136,12 +140,14 @@ class _Search:
         """What is plain to see on the clearest ground by another focal length."""
         return self.suitable(by_other_focals(self.looks, planes, self.free))
 
-    def further(self, camera: Camera) -> tuple[Paving, ...]:
-        """The best lattices on grounds that only a closer look at the segments suggests."""
-        closer = (
-            lambda: hypothesised_thoroughly(self.segments, camera, self.hypotheses, walls=self.walls),
-            lambda: hypothesised_along_grain(self.segments, camera, walls=self.walls),
-        )
+    def further(self, camera: Camera, *, along_grain: bool) -> tuple[Paving, ...]:
+        """The best lattices on grounds that only a closer look at the segments suggests.
+
+        Those that are turned about a grain are many, and are for joints without any edge across them.
+        """
+        closer = [lambda: hypothesised_thoroughly(self.segments, camera, self.hypotheses, walls=self.walls)]
+        if along_grain:
+            closer.append(lambda: hypothesised_along_grain(self.segments, camera, walls=self.walls))
         tried = (self._promising(self.looks, hypotheses(), MOST_STARTS)[0] for hypotheses in closer)
         return next((laid for laid in tried if _is_ground(laid)), ())
 

@@ -7,7 +7,7 @@ import numpy as np
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.sight import Looks
 from autoreg.paving.bond import bond_of_places
-from autoreg.paving.lattice_evidence import Paving
+from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving
 from autoreg.paving.lay import lay_bond
 from autoreg.paving.plane_combs import PlaneCombs
 from autoreg.rows.rows import Rows, lay_rows
@@ -33,6 +33,11 @@ def rows_alone(fields: list[tuple[Rows, PlaneCombs]]) -> Rows | None:
     """The clearest of these rows, if they do better than chance."""
     rows = clearest_alone(fields)
     return rows if rows is not None and rows.margin_nats > 0 else None
+
+
+def crossed(fields: list[tuple[Rows, PlaneCombs]]) -> bool:
+    """Whether the cross joints between some rows are plain to see, so that no direction remains in doubt."""
+    return any(rows.margin_nats > 0 and rows.paving.evidence_nats[1] > PLAIN_NATS for rows, _ in fields)
 
 
 def by_cross_joints(looks: Looks, fields: list[tuple[Rows, PlaneCombs]], free: Free) -> tuple[Paving, ...]:
