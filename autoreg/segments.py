@@ -9,7 +9,7 @@ from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from autoreg.faint_edges import faint_edges
 
@@ -17,6 +17,8 @@ from autoreg.faint_edges import faint_edges
 FEW = 150
 # Where the contrast of a segment is sampled: shares of its length, and pixels to either side.
 ALONG, BESIDE_PX = np.linspace(0.1, 0.9, 9), 1.5
+# Segments both of whose ends lie this close to an edge between blocks run along it.
+ON_EDGE_PX = 1.25
 # LSD's bound on the gradient's error by quantisation, in grey levels, as published.
 LSD_GRADIENT_STEP = 2.0
 
@@ -31,12 +33,15 @@ class SegmentOptions:
         levels: number of levels, each of half the width of the one before.
         min_length_px: shortest segment kept, in pixels of the level that found it.
         max_segments: the longest so many are kept.
+        blocks_px: side of the squares, from the picture's first pixel on, along whose edges no segments are
+            kept: those of the blocks in which a file keeps colours. 0 for none.
     """
 
     megapixels: float = 0.6
     levels: int = 3
     min_length_px: float = 10.0
     max_segments: int = 3000
+    blocks_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -205,7 +210,15 @@ def _as_segments(ends: Float[np.ndarray, "n 2 2"], level: _Level, options: Segme
     ends, length = ends[keep], length[keep]
     sigma = _end_sigma(length) * float(level.px_per_level_px.mean())
     # Pixel centres of two levels agree only at the corners of the pictures: half a pixel in, half out.
-    return Segments((ends + 0.5) * level.px_per_level_px - 0.5, sigma, np.full(len(ends), level.number))
+    found = Segments((ends + 0.5) * level.px_per_level_px - 0.5, sigma, np.full(len(ends), level.number))
+    return found.take(~_on_blocks(found.ends_px, options.blocks_px)) if options.blocks_px else found
+
+
+def _on_blocks(ends_px: Float[np.ndarray, "n 2 2"], side_px: float) -> Bool[np.ndarray, " n"]:
+    """Which segments run along the edges of blocks of such a side, which begin at the picture's corner."""
+    edge = np.rint((ends_px + 0.5) / side_px)
+    off = np.abs(ends_px + 0.5 - side_px * edge)
+    return ((edge[:, 0] == edge[:, 1]) & (off < ON_EDGE_PX).all(1)).any(1)
 
 
 def _end_sigma(length: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from autoreg.ground.sight import see
 from autoreg.segments import SegmentOptions, Segments, begin_detection, detect_segments
 
 SIZE = 400
@@ -160,3 +161,30 @@ def test_a_selection_keeps_the_columns_together():
 def test_what_is_no_grey_picture_is_named(picture, got):
     with pytest.raises(ValueError, match=f"h x w of uint8, {got}; .*load_photo"):
         detect_segments(picture)
+
+
+def in_chequers(side_px: int, corner_px: int) -> np.ndarray:
+    """Squares of two tones that lie so far from the picture's corner."""
+    u = (np.arange(SIZE) - corner_px) // side_px
+    return np.where((u[:, None] + u) % 2, 120, 140).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("corner_px", "kept"), [(0, False), (5, True)])
+def test_edges_of_the_blocks_in_which_colours_are_kept_are_left_out(corner_px, kept):
+    picture = in_chequers(48, corner_px)
+    options = SegmentOptions(blocks_px=16.0)
+    every, without = detect_segments(picture), detect_segments(picture, options=options)
+    assert len(every) > 100
+    assert len(without) == (len(every) if kept else 0)
+
+
+def test_joints_across_blocks_are_kept():
+    picture, _ = dark_bar(0.05, 0.0, 18.0)
+    found = detect_segments(picture, options=SegmentOptions(blocks_px=16.0))
+    assert len(long_ones(found)) == 2
+
+
+def test_a_tone_is_seen_without_the_edges_of_its_blocks():
+    picture = in_chequers(48, 0)
+    assert len(see(picture).segments) > 100
+    assert len(see(picture, toned=True).segments) == 0

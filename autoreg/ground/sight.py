@@ -10,10 +10,13 @@ from jaxtyping import Float32, UInt8
 
 from autoreg.ground.rectify import Gradient, picture_gradient, unshaded
 from autoreg.image import pyramid
-from autoreg.segments import Detection, Segments, begin_detection
+from autoreg.segments import Detection, SegmentOptions, Segments, begin_detection
 
 # Joints are found at this size, and measured at the photo's own.
 DETECTION_PIXELS = 600_000
+# JPEG keeps colours in blocks of 8 x 8, mostly at half the resolution. In a tone their edges show where
+# little else does, and would be joints across boards.
+COLOUR_BLOCK_PX = 16.0
 # Size of the first look, and its and the second look's numbers of rows on the ground.
 COARSE_PIXELS, COARSE_LINES, FINE_LINES = 110_000, 320, 800
 
@@ -84,8 +87,8 @@ class Sight:
 
 
 def see(gray: UInt8[np.ndarray, "h w"], *, toned: bool = False) -> Sight:
-    """What is to be seen in a photo."""
-    detection = begin_detection(gray)
+    """What is to be seen in a photo, or in a tone of it."""
+    detection = begin_detection(gray, options=SegmentOptions(blocks_px=COLOUR_BLOCK_PX if toned else 0.0))
     return Sight(gray, looks_at(pyramid(gray, DETECTION_PIXELS)[0]), detection, toned)
 
 
