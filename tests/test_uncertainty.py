@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from autoreg.answer.conclude import Frame
 from autoreg.camera import Camera
+from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
@@ -100,6 +101,20 @@ def test_irregular_slabs_make_the_pose_less_sure_by_about_as_much_as_they_scatte
 
 def test_the_jitter_of_the_slabs_is_found_from_the_residuals() -> None:
     assert settle(fitted(0.002, 1)).scatter.place == pytest.approx(0.002, rel=0.5)
+
+
+@pytest.mark.parametrize("ran_away_by", [30.0, np.nan])
+def test_sides_that_nothing_holds_to_those_of_slabs_are_refused(
+    ran_away_by: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = fitted(0.002, 1)
+    known = estimate_motion(fit, fit.free.mask, fit.free.prior(fit.camera, fit.grid))
+    parameters = known.parameters.copy()
+    parameters[RATIO] = ran_away_by
+    ran_away = replace(known, parameters=parameters)
+    monkeypatch.setattr("autoreg.slabs.uncertainty.estimate_motion", lambda *_, **__: ran_away)
+    with pytest.raises(Refusal, match="hold the sides of slabs"):
+        settle(fit)
 
 
 def test_how_much_slabs_scatter_does_not_hang_on_where_the_search_for_it_starts() -> None:

@@ -149,7 +149,7 @@ def _laid_on(
         prior = free.prior(camera, grid)
         solution = solve_joints(data, free.mask, prior, rough=rough, most_steps=most_steps)
         moved, new_grid = moved_pose(pose, solution), stretched(grid, solution)
-        if solution.outcome == "diverged" or not _plausible(moved, new_grid):
+        if solution.outcome == "diverged" or not plausible(moved, new_grid):
             return fit
         distances = solution.distances_px
         if not search:
@@ -174,8 +174,8 @@ def _laid_on(
     return fit
 
 
-def _plausible(pose: Rigid, grid: Grid) -> bool:
-    """Whether a lattice may be one of slabs: a solve with nothing to hold it can run away."""
+def plausible(pose: Rigid, grid: Grid) -> bool:
+    """Whether a lattice may be one of slabs, in the unit of the pose: what nothing holds can run away."""
     height = float(pose.origin_in_a[2])
     sides = np.array(grid.slab_size) / height
     return bool(height > 0 and (sides > 1.0 / MOST_SIDES).all() and (sides < MOST_SIDES).all())

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
-from autoreg.fitting.refine import joint_data
+from autoreg.fitting.refine import joint_data, plausible
 from autoreg.geometry import Rigid
 from autoreg.slabs.measured_joints import widths_told
 from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
@@ -50,6 +51,9 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
     The joints' `widths` have a say if that is asked for, but no more than half: whether they tell how deep
     the joints lie, or are those of bevels and of what fills the joints, is as likely as not. Where the camera
     is not known, ground that is a little bent would be taken for another one.
+
+    Raises:
+        Refusal: nothing holds the sides of the slabs, which run away to what no slab has.
     """
     estimate, moved = _likeliest(fit, widths)
     for _ in range(MOST_MOVES):
@@ -75,6 +79,12 @@ def _likeliest(fit: Fit, widths: bool) -> tuple[Estimate, Fit]:
         estimate = _either(estimate, alone)
     held = _with_told_ratio(fit, estimate)
     moved = fit.moved((held or estimate).parameters)
+    if not plausible(moved.cam_from_ground, moved.grid):
+        raise Refusal(
+            "no_lattice",
+            "the joints that were measured do not hold the sides of slabs to what a slab may have; take a "
+            "photo in which two or more rows of slabs and their cross joints are clearly seen",
+        )
     return (estimate, moved) if held is None else (held, replace(moved, free=replace(fit.free, ratio=False)))
 
 
