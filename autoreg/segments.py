@@ -216,9 +216,10 @@ def _as_segments(ends: Float[np.ndarray, "n 2 2"], level: _Level, options: Segme
 
 def _on_blocks(ends_px: Float[np.ndarray, "n 2 2"], side_px: float) -> Bool[np.ndarray, " n"]:
     """Which segments run along the edges of blocks of such a side, which begin at the picture's corner."""
-    edge = np.rint((ends_px + 0.5) / side_px)
-    off = np.abs(ends_px + 0.5 - side_px * edge)
-    return ((edge[:, 0] == edge[:, 1]) & (off < ON_EDGE_PX).all(1)).any(1)
+    from_corner = ends_px + 0.5
+    edge = np.rint(from_corner / side_px)
+    near = np.abs(from_corner - side_px * edge) < ON_EDGE_PX
+    return (near.all(1) & (edge[:, 0] == edge[:, 1])).any(1)
 
 
 def _end_sigma(length: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -73,11 +73,11 @@ def find_paving(
     others, stronger = search.strongest()
     if _is_ground(others):
         return _unrivalled(others)
+    others = search.by_other_focals(planes) if camera is None else ()
+    if is_there(others):
+        return _unrivalled(others)
     fields = fields_of_rows(sight.looks, search.segments, sight.size, [*planes, *stronger])
-    if camera is None:
-        others = search.by_other_focals(planes)
-    else:
-        others = search.further(camera, along_grain=not crossed(fields))
+    others = () if camera is None else search.further(camera, along_grain=not crossed(fields))
     if is_there(others):
         return _unrivalled(others)
     others = search.suitable(by_cross_joints(sight.looks, fields, search.free))
