@@ -16,7 +16,7 @@ from autoreg.ground.sight import see
 from autoreg.joint_tone import Tone, clearest_tone
 from autoreg.laying import camera_to_blame, lay, lay_where
 from autoreg.paving.lattice_evidence import SAME_SPACING, alike
-from autoreg.search.find import find_on
+from autoreg.search.find import find_on, find_rows_on
 from autoreg.search.glance import promises
 from autoreg.task import Task
 
@@ -80,6 +80,8 @@ def _in_joint_tone(task: Task, laid: Laid) -> tuple[Task, Laid]:
     try:
         clearer = _laid_anew(toned, laid)
     except Refusal:
+        clearer = None
+    if clearer is None:
         return task, laid
     same = alike(laid.settled, clearer.settled, SAME_SPACING)
     better = same or clearer.settled.margin_nats > laid.settled.margin_nats
@@ -102,13 +104,17 @@ def _seen_in(task: Task, colour: UInt8[np.ndarray, "h w 3"], tone: Hue | Tone | 
     return None if tone is None else replace(task, sight=see(tone.of(colour), toned=True))
 
 
-def _laid_anew(task: Task, before: Laid) -> Laid:
-    """The paving in another tone: where it was before, if it is the same there.
+def _laid_anew(task: Task, before: Laid) -> Laid | None:
+    """The paving in another tone: where it was before, if it is the same there; None if rows are not.
 
     Raises:
         Refusal: there is none, or it cannot be one of slabs on the ground.
     """
-    found = find_on(task.sight, before.fit.camera, before.fit.cam_from_ground.R)
+    camera, R = before.fit.camera, before.fit.cam_from_ground.R
+    found = find_on(task.sight, camera, R)
+    if _are_rows(before):
+        again = found or find_rows_on(task.sight, camera, R)
+        return None if again is None else lay_where(task, again)
     if found is None or not alike(before.settled, found, SAME_SPACING):
         return lay(task)
     return lay_where(task, found)

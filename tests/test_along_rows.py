@@ -104,6 +104,17 @@ def test_fainter_joints_midway_between_those_of_rows_are_no_grain(rows_fit: Fit)
     assert said_of(rows_fit, segments_at(rows_fit, place), np.repeat([20.0, 8.0], [100, 150])).contradict
 
 
+def test_ragged_edges_lie_on_a_joint_that_is_wide_and_beside_one_that_is_narrow(rows_fit: Fit):
+    rng = np.random.default_rng(10)
+    # As between old bricks: half a joint off its middle, by uneven shares of a row's width.
+    off = rng.choice([-1.0, 1.0], 200) * (0.1 + rng.uniform(0.0, 0.06, 200))
+    edges = on_joints(places(rng, [-2.0, 0.6], [2.0, 4.0])) + np.column_stack([np.zeros(200), WIDTH * off])
+    for share, contradict in ((0.2, False), (0.04, True)):
+        strip = replace(rows_fit.strip, width=(share * WIDTH, rows_fit.strip.width[1]))
+        said = said_of(replace(rows_fit, strip=strip), segments_at(rows_fit, edges))
+        assert said.contradict == contradict
+
+
 def cross_joints(x: np.ndarray, row: np.ndarray) -> CrossJoints:
     """Both edges of joints at such places along their rows."""
     edges = np.concatenate([x - 0.008, x + 0.008])

@@ -5,6 +5,7 @@ The presence of every single slab side tells.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -167,6 +168,15 @@ def rival(pavings: tuple[Paving, ...]) -> Paving | None:
         if not alike(best, other, SAME_SPACING):
             return other
     return None
+
+
+def told_twice(pavings: Sequence[Paving]) -> bool:
+    """Whether the clearest of some lattices is clear enough to be plain, and another start led to it as well.
+
+    What a bad fit meets of a large field, another start does not meet again.
+    """
+    clear = sorted((p for p in pavings if p.margin_nats > PLAIN_NATS), key=lambda p: -p.margin_nats)
+    return any(alike(clear[0], other, SAME_SPACING) for other in clear[1:])
 
 
 def alike(one: Paving, other: Paving, spacing: float) -> bool:

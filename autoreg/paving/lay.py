@@ -23,7 +23,7 @@ from autoreg.ground.sight import Look, Looks
 from autoreg.paving.bond import BondHypothesis, bond_hypotheses
 from autoreg.paving.corrections import by_measured_shifts
 from autoreg.paving.lattice_choice import hopeful, settle_bond
-from autoreg.paving.lattice_evidence import Paving, presented
+from autoreg.paving.lattice_evidence import Paving, presented, told_twice
 from autoreg.paving.multiples import divided, slabs_in_one, too_long
 from autoreg.paving.periods import Comb, best_combs
 from autoreg.paving.plane_combs import PlaneCombs
@@ -73,7 +73,7 @@ def lay_lattice(
         laid = _laid(looks, plane, start, free, both=bool(tried))
         tried.append(start)
         found += [] if laid is None else [laid]
-        if (laid is not None and laid.plain) or len(tried) > most_starts:
+        if (laid is not None and laid.plain) or told_twice(found) or len(tried) > most_starts:
             break
     return tuple(sorted(found, key=lambda paving: -paving.margin_nats))
 

@@ -21,9 +21,9 @@ from autoreg.segments import Segments
 ALONG_RAD = np.radians(4.0)
 # The ground around a field reaches so many of its sizes to either side: a wall far beyond it has no say.
 AROUND = 1.0
-# They lie on a joint if their middles are no farther from it than this share of a row's width; a quarter of
-# those at any place do.
-ON_JOINT = 0.12
+# They lie on a joint if their middles are no farther from its own than this share of a row's width, which a
+# quarter of those at any place are, or from its edges than that one; no joint is so wide that more are.
+ON_JOINT, ON_EDGE, MOST_ON_JOINT = 0.12, 0.06, 0.2
 # Farther from the joints than this share of a row's width is midway between them.
 MIDWAY = 0.25
 # What lies anywhere is no more than so many times as dense midway as beside the joints, by chance.
@@ -69,25 +69,27 @@ def along_rows(
     row = middle[:, 1] / fit.grid.spacing_y
     off = np.abs(row - np.round(row))
     inside, around = (inside_box(middle, field, margin) for margin in (0.0, AROUND))
-    of_joints = contrast[inside & (off < ON_JOINT)]
+    half = 0.5 * fit.strip.width[0] / fit.grid.spacing_y
+    near = float(np.clip(half + ON_EDGE, ON_JOINT, MOST_ON_JOINT))
+    of_joints = contrast[inside & (off < near)]
     usual = float(np.median(of_joints)) if len(of_joints) else 0.0
     faint = 1.0 - np.minimum(contrast / max(usual, 1e-9), 1.0) ** 2
-    return AlongRows(*(_share(length[some], off[some], faint[some]) for some in (inside, around)))
+    return AlongRows(*(_share(length[some], off[some], faint[some], near) for some in (inside, around)))
 
 
-def _share(length: np.ndarray, off: np.ndarray, faint: np.ndarray) -> float:
-    """The share of some segments that lies on joints, without what is as likely to lie anywhere.
+def _share(length: np.ndarray, off: np.ndarray, faint: np.ndarray, near: float) -> float:
+    """The share of some segments that lies `near` joints, without what is as likely to lie anywhere.
 
     That is as much as is seen of it midway between the joints, unless there is far less beside them.
     """
-    whole, on_joint = float(length.sum()), float(length[off < ON_JOINT].sum())
+    whole, on_joint = float(length.sum()), float(length[off < near].sum())
     if whole == 0.0:
         return 1.0
     # Were it as dense everywhere as it is in either band.
     beside, midway = (
         0.5 * float((length * faint)[(off > low) & (off < high)].sum()) / (high - low)
-        for low, high in ((ON_JOINT, MIDWAY), (MIDWAY, 0.5))
+        for low, high in ((near, MIDWAY), (MIDWAY, 0.5))
     )
     anywhere = min(midway, FAR_LESS * beside)
-    on_joint -= 2.0 * ON_JOINT * anywhere
+    on_joint -= 2.0 * near * anywhere
     return float(np.clip(on_joint / max(whole - anywhere, on_joint, 1e-9), 0.0, 1.0))

@@ -185,6 +185,13 @@ def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving
     return found if found is not None and found.margin_nats > 0 else None
 
 
+def find_rows_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Rows | None:
+    """The rows on a known ground, as for `find_on`, that do better than chance, if any do."""
+    looks, segments = sight.looks, sight.segments
+    planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
+    return rows_alone(fields_of_rows(looks, segments, sight.size, planes))
+
+
 def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
     """The rows that explain the photo best, at detection scale, if any do better than chance.
 

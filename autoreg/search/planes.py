@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from autoreg.ground.sight import Looks
-from autoreg.paving.lattice_evidence import Paving
+from autoreg.paving.lattice_evidence import Paving, told_twice
 from autoreg.paving.lay import lay_first
 from autoreg.paving.plane_combs import (
     PROMISING_NATS,
@@ -52,7 +52,7 @@ def lay_planes(
         return best, []
     (first,) = sharpened(looks, segments, planes[:1], free_focal=free_focal)
     best = _better(best, lay(first))
-    if is_plain(best):
+    if _is_sure(best):
         return best, [first]
     clear = bool(best) and best[0].margin_nats > CLEAR_NATS
     others = [plane for plane in planes[1:] if not clear or plane.score > LESS_CLEAR * planes[0].score]
@@ -85,9 +85,9 @@ def lay_promising(
 def _laid_on(
     planes: list[PlaneCombs], best: tuple[Paving, ...], lay: Callable[[PlaneCombs], tuple[Paving, ...]]
 ) -> tuple[Paving, ...]:
-    """The best of these lattices and of those on some planes, which are looked into until one is plain."""
+    """The best of these lattices and of those on some planes, which are looked into until one is sure."""
     for plane in planes:
-        if is_plain(best):
+        if _is_sure(best):
             break
         best = _better(best, lay(plane))
     return best
@@ -101,6 +101,11 @@ def _better(best: tuple[Paving, ...], others: tuple[Paving, ...]) -> tuple[Pavin
 def is_there(pavings: tuple[Paving, ...]) -> bool:
     """Whether the first of some lattices does better than chance."""
     return bool(pavings) and pavings[0].margin_nats > 0
+
+
+def _is_sure(pavings: tuple[Paving, ...]) -> bool:
+    """Whether the first of some lattices is plain to see, or two starts on its ground led to it clearly."""
+    return is_plain(pavings) or told_twice(pavings)
 
 
 def is_plain(pavings: tuple[Paving, ...]) -> bool:
