@@ -24,13 +24,15 @@ ACROSS_RAD = np.radians(45.0)
 NOT_THERE = {"no_lattice", "one_direction", "too_few_joints"}
 
 
-def lay(task: Task) -> Laid:
+def lay(task: Task, *, thorough: bool = True) -> Laid:
     """The paving, measured at the photo's own resolution: of two fields, the larger one that can be measured.
+
+    It is looked for as `thorough`ly as `find_paving` can, or on the clearest grounds alone.
 
     Raises:
         Refusal: there is none, or it cannot be one of slabs on the ground.
     """
-    found = _found(task)
+    found = _found(task, thorough=thorough)
     if task.camera is not None and isinstance(found, Paving):
         larger = largest_field(task.sight, found, task.camera, task.slab)
         if larger is not found:
@@ -76,7 +78,7 @@ def camera_to_blame(task: Task, found: Paving | None = None) -> Refusal | None:
     return None if task.calibrated is None else other_camera(task.sight, task.calibrated, found)
 
 
-def _found(task: Task) -> Paving | Rows:
+def _found(task: Task, *, thorough: bool) -> Paving | Rows:
     """The paving at detection scale; if that may be a wall, the one on the ground before it.
 
     What lies at somebody's feet, or is held up, may look like a wall as well, and is taken if there is no
@@ -85,12 +87,12 @@ def _found(task: Task) -> Paving | Rows:
     Raises:
         Refusal: there is none, or none that may not be a wall.
     """
-    found = find_paving(task.sight, task.camera, task.slab)
+    found = find_paving(task.sight, task.camera, task.slab, thorough=thorough)
     wall = maybe_wall(_fit_of(found))
     if wall is None and not _like_wall(found):
         return found
     try:
-        before = find_paving(task.sight, task.camera, task.slab, walls=False)
+        before = find_paving(task.sight, task.camera, task.slab, walls=False, thorough=thorough)
     except Refusal:
         before = None
     if before is not None and maybe_wall(_fit_of(before)) is None and _across(found, before):

@@ -52,7 +52,10 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
 
 
 def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:
-    """The paving by hue, and the photo in it, where it promises one at the first glance."""
+    """The paving by hue, and the photo in it, where it promises one at the first glance.
+
+    On the clearest grounds alone: what luminance does not show by a thorough search is looked for once.
+    """
     if task.colour is None:
         return None
     colour = task.colour()
@@ -60,7 +63,7 @@ def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:
     if hued is None or not promises(hued.sight, hued.camera):
         return None
     try:
-        return hued, lay(hued)
+        return hued, lay(hued, thorough=False)
     except Refusal:
         return None
 

@@ -38,6 +38,7 @@ def find_paving(
     slab: tuple[float, float] | None = None,
     *,
     walls: bool = True,
+    thorough: bool = True,
 ) -> Paving | Rows:
     """The lattice that explains the photo best, at detection scale; of those that suit the slab, if any do.
 
@@ -49,6 +50,7 @@ def find_paving(
         camera: its camera, or None to look for a focal length as well.
         slab: sides of a slab in either order, if known.
         walls: whether grounds that look like a wall seen from the front are looked into as well.
+        thorough: whether more is looked at than the clearest grounds, which takes several times as long.
 
     Raises:
         Refusal: none explains it better than chance.
@@ -70,14 +72,15 @@ def find_paving(
     if is_there(best):
         return _unrivalled(best)
     # By grounds that are at hand: to find others takes longer.
-    others, stronger = search.strongest()
+    others, stronger = search.strongest() if thorough else ((), [])
     if _is_ground(others):
         return _unrivalled(others)
-    others = search.by_other_focals(planes) if camera is None else ()
+    others = search.by_other_focals(planes) if thorough and camera is None else ()
     if is_there(others):
         return _unrivalled(others)
     fields = fields_of_rows(sight.looks, search.segments, sight.size, [*planes, *stronger])
-    others = () if camera is None else search.further(camera, along_grain=not crossed(fields))
+    if thorough and camera is not None:
+        others = search.further(camera, along_grain=not crossed(fields))
     if is_there(others):
         return _unrivalled(others)
     others = search.suitable(by_cross_joints(sight.looks, fields, search.free))
