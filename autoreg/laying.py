@@ -78,6 +78,13 @@ def camera_to_blame(task: Task, found: Paving | None = None) -> Refusal | None:
     return None if task.calibrated is None else other_camera(task.sight, task.calibrated, found)
 
 
+def camera_unlike_slab(task: Task) -> Refusal | None:
+    """The refusal of a calibrated camera, if by the joints' own one they lie as the slab's sides ask."""
+    if task.calibrated is None or task.slab is None:
+        return None
+    return other_camera(task.sight, task.calibrated, slab=task.slab)
+
+
 def _found(task: Task, *, thorough: bool) -> Paving | Rows:
     """The paving at detection scale; if that may be a wall, the one on the ground before it.
 

@@ -14,7 +14,7 @@ from autoreg.fine_hue import Hue, finest_hue
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sight import see
 from autoreg.joint_tone import Tone, clearest_tone
-from autoreg.laying import camera_to_blame, lay, lay_where
+from autoreg.laying import camera_to_blame, camera_unlike_slab, lay, lay_where
 from autoreg.paving.lattice_evidence import SAME_SPACING, alike
 from autoreg.search.find import find_on, find_rows_on
 from autoreg.search.glance import promises
@@ -23,7 +23,7 @@ from autoreg.task import Task
 # A tone that leaves the joints so many times as far from their lines as luminance does shows them less well.
 ROUGHER_IN_TONE = 1.6
 # Refusals that have a reason of their own, which no other camera and no other tone would take away.
-OWN_REASONS = {"not_ground", "slab_mismatch", "camera_contradicted"}
+OWN_REASONS = {"not_ground", "camera_contradicted"}
 
 
 def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
@@ -38,6 +38,8 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
     try:
         seen, laid = task, lay(task)
     except Refusal as refusal:
+        if refusal.code == "slab_mismatch":
+            raise camera_unlike_slab(task) or refusal from None
         if refusal.code in OWN_REASONS:
             raise
         blamed = camera_to_blame(task)

@@ -8,7 +8,7 @@ from autoreg.answer.camera_refusals import camera_contradicted
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.sight import Looks, Sight, see
-from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving
+from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving, has_ratio
 from autoreg.paving.lay import lay_combs
 from autoreg.paving.plane_combs import Hypothesis, promising_plane
 from autoreg.search.hypotheses import hypothesised
@@ -31,11 +31,14 @@ def promises(sight: Sight, camera: Camera | None) -> bool:
     return promising_plane(sight.looks, sight.segments, hypotheses) is not None
 
 
-def other_camera(sight: Sight, camera: Camera, found: Paving | None = None) -> Refusal | None:
+def other_camera(
+    sight: Sight, camera: Camera, found: Paving | None = None, slab: tuple[float, float] | None = None
+) -> Refusal | None:
     """Why a camera is to blame for showing no lattice, or only the one found: the joints clearly fit another.
 
     A small field that is seen by the right camera, the joints' own camera explains hardly better; one that is
-    left of a large field by a wrong camera, it explains far better.
+    left of a large field by a wrong camera, it explains far better. Sides of a `slab`, where they are given,
+    must be in the ratio that the joints have by their own camera.
     """
     free, hypotheses = hypothesised(sight.segments, sight.size, None)
     other = at_a_glance(sight.looks, sight.segments, hypotheses, free)
@@ -44,7 +47,8 @@ def other_camera(sight: Sight, camera: Camera, found: Paving | None = None) -> R
         return None
     focal = other.fit.camera.scaled(camera.width, camera.height).fx
     alike = abs(np.log(focal / camera.fx)) < SAME_FOCAL
-    return None if alike else camera_contradicted(camera, focal)
+    blamed = not alike if slab is None else has_ratio(other.grid, slab)
+    return camera_contradicted(camera, focal) if blamed else None
 
 
 def upright_by(sight: Sight, camera: Camera | None) -> int | None:
