@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import cv2
 import numpy as np
@@ -17,7 +19,7 @@ from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows, gaps_in_turn, lay_rows
 from autoreg.search.find import find_paving
-from autoreg.search.rows_on_planes import crossed
+from autoreg.search.rows_on_planes import crossed, plain_alone
 from autoreg.segments import Segments, detect_segments
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticPhoto
@@ -127,10 +129,40 @@ def test_no_ground_is_turned_about_rows_whose_cross_joints_are_plain(monkeypatch
     def turned_about(*_: object, **__: object) -> list[Hypothesis]:
         raise AssertionError
 
+    monkeypatch.setattr("autoreg.search.find.plain_alone", lambda _: False)
     monkeypatch.setattr("autoreg.search.find._Search.strongest", lambda *_: ((), []))
     monkeypatch.setattr("autoreg.search.find.hypothesised_thoroughly", lambda *_, **__: [])
     monkeypatch.setattr("autoreg.search.find.hypothesised_along_grain", turned_about)
     assert isinstance(find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA), Rows)
+
+
+def test_no_lattice_is_looked_for_elsewhere_where_rows_are_plain(monkeypatch: pytest.MonkeyPatch):
+    def elsewhere(*_: object, **__: object) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
+        raise AssertionError
+
+    monkeypatch.setattr("autoreg.search.find.plain_alone", lambda _: True)
+    monkeypatch.setattr("autoreg.search.find._Search.strongest", elsewhere)
+    sight = see(seen_from_the_camera(ashlar(0.3)))
+    assert isinstance(find_paving(sight, CAMERA), Rows)
+    # By a focal length that is not known, a lattice may look like rows.
+    with pytest.raises(AssertionError):
+        find_paving(sight, None)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "in_columns", "plain"),
+    [((60.0, 45.0), False, True), ((60.0, 35.0), False, False), ((60.0, 45.0), True, False)],
+)
+def test_rows_are_plain_unless_their_cross_joints_lie_in_columns(
+    ashlar_rows: Rows, evidence: tuple[float, float], in_columns: bool, plain: bool
+):
+    assert not plain_alone([])
+    rows = SimpleNamespace(
+        in_columns=in_columns,
+        margin_nats=50.0,
+        paving=replace(ashlar_rows.paving, evidence_nats=evidence),
+    )
+    assert plain_alone([(cast(Rows, rows), PlaneCombs(CAMERA, STACK.cam_from_ground.R, (), ()))]) == plain
 
 
 @pytest.mark.parametrize(

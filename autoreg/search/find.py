@@ -22,7 +22,15 @@ from autoreg.rows.rows import Rows
 from autoreg.search.glance import at_a_glance
 from autoreg.search.hypotheses import hypothesised, hypothesised_along_grain, hypothesised_thoroughly
 from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, is_there, lay_planes, lay_promising
-from autoreg.search.rows_on_planes import by_cross_joints, clearest_alone, crossed, fields_of_rows, rows_alone
+from autoreg.search.rows_on_planes import (
+    by_cross_joints,
+    clearest_alone,
+    clearest_first,
+    crossed,
+    fields_of_rows,
+    plain_alone,
+    rows_alone,
+)
 from autoreg.segments import Segments
 from autoreg.solve.freedom import Free
 
@@ -71,18 +79,20 @@ def find_paving(
         best = glance
     if is_there(best):
         return _unrivalled(best)
-    # By grounds that are at hand: to find others takes longer.
-    others, stronger = search.strongest() if thorough else ((), [])
-    if _is_ground(others):
-        return _unrivalled(others)
-    others = search.by_other_focals(planes) if thorough and camera is None else ()
-    if is_there(others):
-        return _unrivalled(others)
-    fields = fields_of_rows(sight.looks, search.segments, sight.size, [*planes, *stronger])
-    if thorough and camera is not None:
-        others = search.further(camera, along_grain=not crossed(fields))
-    if is_there(others):
-        return _unrivalled(others)
+    fields = fields_of_rows(sight.looks, search.segments, sight.size, planes)
+    if thorough and (camera is None or not plain_alone(fields)):
+        # By grounds that are at hand: to find others takes longer.
+        others, stronger = search.strongest()
+        if _is_ground(others):
+            return _unrivalled(others)
+        others = search.by_other_focals(planes) if camera is None else ()
+        if is_there(others):
+            return _unrivalled(others)
+        fields += fields_of_rows(sight.looks, search.segments, sight.size, stronger)
+        fields = clearest_first(fields)
+        others = () if camera is None else search.further(camera, along_grain=not crossed(fields))
+        if is_there(others):
+            return _unrivalled(others)
     others = search.suitable(by_cross_joints(sight.looks, fields, search.free))
     if is_there(others):
         return _unrivalled(others)

@@ -20,8 +20,12 @@ def fields_of_rows(
 ) -> list[tuple[Rows, PlaneCombs]]:
     """The rows on some planes, with their planes, the clearest first."""
     fields = [(lay_rows(looks.picture, plane, segments, size), plane) for plane in planes]
-    found = [(rows, plane) for rows, plane in fields if rows is not None]
-    return sorted(found, key=lambda field: -field[0].margin_nats)
+    return clearest_first([(rows, plane) for rows, plane in fields if rows is not None])
+
+
+def clearest_first(fields: list[tuple[Rows, PlaneCombs]]) -> list[tuple[Rows, PlaneCombs]]:
+    """The same fields, the clearest first."""
+    return sorted(fields, key=lambda field: -field[0].margin_nats)
 
 
 def clearest_alone(fields: list[tuple[Rows, PlaneCombs]]) -> Rows | None:
@@ -33,6 +37,17 @@ def rows_alone(fields: list[tuple[Rows, PlaneCombs]]) -> Rows | None:
     """The clearest of these rows, if they do better than chance."""
     rows = clearest_alone(fields)
     return rows if rows is not None and rows.margin_nats > 0 else None
+
+
+def plain_alone(fields: list[tuple[Rows, PlaneCombs]]) -> bool:
+    """Whether the clearest rows, and their cross joints, are plain to see, and these of no bond.
+
+    Those of a running bond lie in columns, even where its lattice is too uneven to be found.
+    """
+    if not fields or fields[0][0].in_columns:
+        return False
+    rows = fields[0][0]
+    return min(rows.margin_nats, rows.paving.evidence_nats[1]) > PLAIN_NATS
 
 
 def crossed(fields: list[tuple[Rows, PlaneCombs]]) -> bool:
