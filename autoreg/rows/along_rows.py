@@ -21,8 +21,8 @@ from autoreg.segments import Segments
 ALONG_RAD = np.radians(4.0)
 # The ground around a field reaches so many of its sizes to either side: a wall far beyond it has no say.
 AROUND = 1.0
-# They lie on a joint if their middles are no farther from its own than this share of a row's width, which a
-# quarter of those at any place are, or from its edges than that one; no joint is so wide that more are.
+# They lie on a joint if their middles are within the first share of a row's width of its own, as a quarter of
+# those at any place are, or within the second one of its edges, yet within the third one of its middle.
 ON_JOINT, ON_EDGE, MOST_ON_JOINT = 0.12, 0.06, 0.2
 # Farther from the joints than this share of a row's width is midway between them.
 MIDWAY = 0.25

@@ -88,8 +88,8 @@ def find_paving(
         others = search.by_other_focals(planes) if camera is None else ()
         if is_there(others):
             return _unrivalled(others)
-        fields += fields_of_rows(sight.looks, search.segments, sight.size, stronger)
-        fields = clearest_first(fields)
+        more = fields_of_rows(sight.looks, search.segments, sight.size, stronger)
+        fields = clearest_first([*fields, *more])
         others = () if camera is None else search.further(camera, along_grain=not crossed(fields))
         if is_there(others):
             return _unrivalled(others)
