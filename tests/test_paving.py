@@ -15,7 +15,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides, visible_sid
 from autoreg.ground.sight import looks_at
 from autoreg.joints.joint_looks import Strip
 from autoreg.paving.lattice_choice import carry, of_joints_alone, settle_bond, suited, with_pattern
-from autoreg.paving.lattice_evidence import Paving, presented, rival, same_lattice
+from autoreg.paving.lattice_evidence import Paving, presented, rival, same_lattice, told_twice
 from autoreg.paving.lay import fills, lay_lattice, refine_in_field
 from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern
@@ -326,3 +326,17 @@ def test_no_lattice_is_laid_on_gravel(gravel_photo: SyntheticPhoto):
     )
     pavings = [p for plane in planes for p in lay_lattice(looks, plane, Free(ratio=True))]
     assert all(paving.margin_nats < 0 for paving in pavings)
+
+
+def test_a_lattice_is_told_twice_where_two_starts_lead_to_it_as_clearly(
+    stack_fit: Fit, stack_photo: SyntheticPhoto
+):
+    a, b = spacing_of(stack_fit)
+    clear = Paving(stack_fit, presence_of(gray_of(stack_photo), stack_fit), (60.0, 60.0))
+    weaker = replace(clear, evidence_nats=(45.0, 45.0))
+    finer = replace(weaker, fit=replace(stack_fit, grid=Grid(a / 2, b)))
+    assert told_twice((clear, weaker))
+    assert told_twice((weaker, clear))
+    assert not told_twice((clear,))
+    assert not told_twice((clear, finer))
+    assert not told_twice((clear, replace(weaker, evidence_nats=(20.0, 20.0))))
