@@ -73,16 +73,14 @@ def lay_where(task: Task, found: Paving | Rows) -> Laid:
     return laid
 
 
-def camera_to_blame(task: Task, found: Paving | None = None) -> Refusal | None:
-    """The refusal of a calibrated camera, if the joints clearly fit another one better than those found."""
-    return None if task.calibrated is None else other_camera(task.sight, task.calibrated, found)
+def camera_to_blame(
+    task: Task, found: Paving | None = None, *, slab: tuple[float, float] | None = None
+) -> Refusal | None:
+    """The refusal of a calibrated camera, if the joints clearly fit another one better than those found.
 
-
-def camera_unlike_slab(task: Task) -> Refusal | None:
-    """The refusal of a calibrated camera, if by the joints' own one they lie as the slab's sides ask."""
-    if task.calibrated is None or task.slab is None:
-        return None
-    return other_camera(task.sight, task.calibrated, slab=task.slab)
+    By that one they must lie as the sides of a `slab` ask, if it is given.
+    """
+    return None if task.calibrated is None else other_camera(task.sight, task.calibrated, found, slab)
 
 
 def _found(task: Task, *, thorough: bool) -> Paving | Rows:

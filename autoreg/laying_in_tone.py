@@ -14,9 +14,9 @@ from autoreg.fine_hue import Hue, finest_hue
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sight import see
 from autoreg.joint_tone import Tone, clearest_tone
-from autoreg.laying import camera_to_blame, camera_unlike_slab, lay, lay_where
+from autoreg.laying import camera_to_blame, lay, lay_where
 from autoreg.paving.lattice_evidence import SAME_SPACING, alike
-from autoreg.search.find import find_on, find_rows_on
+from autoreg.search.find import find_lattice_or_rows_on, find_on
 from autoreg.search.glance import promises
 from autoreg.task import Task
 
@@ -39,7 +39,7 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
         seen, laid = task, lay(task)
     except Refusal as refusal:
         if refusal.code == "slab_mismatch":
-            raise camera_unlike_slab(task) or refusal from None
+            raise camera_to_blame(task, slab=task.slab) or refusal from None
         if refusal.code in OWN_REASONS:
             raise
         blamed = camera_to_blame(task)
@@ -82,10 +82,7 @@ def _in_joint_tone(task: Task, laid: Laid) -> tuple[Task, Laid]:
     toned = _seen_in(task, colour, clearest_tone(colour, laid.fit, task.sight.looks.size))
     if toned is None:
         return task, laid
-    try:
-        clearer = _laid_anew(toned, laid)
-    except Refusal:
-        clearer = None
+    clearer = _laid_anew(toned, laid)
     if clearer is None:
         return task, laid
     same = alike(laid.settled, clearer.settled, SAME_SPACING)
@@ -110,16 +107,18 @@ def _seen_in(task: Task, colour: UInt8[np.ndarray, "h w 3"], tone: Hue | Tone | 
 
 
 def _laid_anew(task: Task, before: Laid) -> Laid | None:
-    """The paving in another tone: where it was before, if it is the same there; None if rows are not.
+    """The paving in another tone: where it was before, if it is the same there; None if there is none.
 
-    Raises:
-        Refusal: there is none, or it cannot be one of slabs on the ground.
+    Rows are looked for nowhere else.
     """
     camera, R = before.fit.camera, before.fit.cam_from_ground.R
-    found = find_on(task.sight, camera, R)
-    if _are_rows(before):
-        again = found or find_rows_on(task.sight, camera, R)
-        return None if again is None else lay_where(task, again)
-    if found is None or not alike(before.settled, found, SAME_SPACING):
-        return lay(task)
-    return lay_where(task, found)
+    try:
+        if _are_rows(before):
+            again = find_lattice_or_rows_on(task.sight, camera, R)
+            return None if again is None else lay_where(task, again)
+        found = find_on(task.sight, camera, R)
+        if found is None or not alike(before.settled, found, SAME_SPACING):
+            return lay(task)
+        return lay_where(task, found)
+    except Refusal:
+        return None

@@ -21,7 +21,7 @@ from autoreg.geometry import Rigid
 from autoreg.ground.sight import see
 from autoreg.image import as_gray
 from autoreg.lattice import Lattice
-from autoreg.laying import camera_unlike_slab
+from autoreg.laying import camera_to_blame
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.synthetic import SyntheticPhoto, SyntheticScene, look_at_ground, render_paving
 from autoreg.task import Task
@@ -227,15 +227,15 @@ def test_a_camera_is_to_blame_for_sides_that_the_joints_have_by_their_own_one():
     photo = seen_from_aside(37.0, 0.01, 1)
     sight = see(as_gray(photo.pixels))
     cut = replace(photo.camera, cx=photo.camera.cx + 245.0, cy=photo.camera.cy - 180.0)
-    blamed = camera_unlike_slab(Task(sight, cut, "file", slab=(0.4, 0.4)))
+    blamed = camera_to_blame(Task(sight, cut, "file"), slab=(0.4, 0.4))
     assert blamed is not None
     assert blamed.code == "camera_contradicted"
     assert "principal point" in blamed.message
     assert "--crop" in blamed.message
     # By no camera do square slabs have other sides, and by the right one there is nothing to blame.
-    assert camera_unlike_slab(Task(sight, cut, "file", slab=(0.6, 0.4))) is None
-    assert camera_unlike_slab(Task(sight, photo.camera, "file", slab=(0.4, 0.4))) is None
-    assert camera_unlike_slab(Task(sight, None, "photo", slab=(0.6, 0.4))) is None
+    assert camera_to_blame(Task(sight, cut, "file"), slab=(0.6, 0.4)) is None
+    assert camera_to_blame(Task(sight, photo.camera, "file"), slab=(0.4, 0.4)) is None
+    assert camera_to_blame(Task(sight, None, "photo"), slab=(0.6, 0.4)) is None
 
 
 def test_ground_without_a_lattice_is_refused_by_name(gravel_photo: SyntheticPhoto):

@@ -190,19 +190,28 @@ def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving
         camera: its camera.
         R: cam_from_ground rotation, along whose X and Y axes the joints run.
     """
+    return _found_on(sight, camera, R)[0]
+
+
+def find_lattice_or_rows_on(
+    sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]
+) -> Paving | Rows | None:
+    """The lattice on a known ground, as for `find_on`, or else the rows there that do better than chance."""
+    found, planes = _found_on(sight, camera, R)
+    return found or rows_alone(fields_of_rows(sight.looks, sight.segments, sight.size, planes))
+
+
+def _found_on(
+    sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]
+) -> tuple[Paving | None, list[PlaneCombs]]:
+    """The lattice on a known ground, and the ground as it was looked into, unless a glance showed enough."""
     free, looks, segments = Free(ratio=True), sight.looks, sight.segments
+    planes: list[PlaneCombs] = []
     found = at_a_glance(looks, segments, [(camera, R)], free)
     if found is None or not found.plain:
         planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
         found = next((paving for plane in planes for paving in lay_lattice(looks, plane, free)), None)
-    return found if found is not None and found.margin_nats > 0 else None
-
-
-def find_rows_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Rows | None:
-    """The rows on a known ground, as for `find_on`, that do better than chance, if any do."""
-    looks, segments = sight.looks, sight.segments
-    planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
-    return rows_alone(fields_of_rows(looks, segments, sight.size, planes))
+    return found if found is not None and found.margin_nats > 0 else None, planes
 
 
 def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:

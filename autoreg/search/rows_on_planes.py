@@ -44,10 +44,10 @@ def plain_alone(fields: list[tuple[Rows, PlaneCombs]]) -> bool:
 
     Those of a running bond lie in columns, even where its lattice is too uneven to be found.
     """
-    if not fields or fields[0][0].in_columns:
+    if not fields:
         return False
-    rows = fields[0][0]
-    return min(rows.margin_nats, rows.paving.evidence_nats[1]) > PLAIN_NATS
+    rows, _ = fields[0]
+    return not rows.in_columns and min(rows.margin_nats, rows.paving.evidence_nats[1]) > PLAIN_NATS
 
 
 def crossed(fields: list[tuple[Rows, PlaneCombs]]) -> bool:
