@@ -39,7 +39,11 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
         seen, laid = task, lay(task)
     except Refusal as refusal:
         if refusal.code == "slab_mismatch":
-            raise camera_to_blame(task, slab=task.slab) or refusal from None
+            blamed = camera_to_blame(task, slab=task.slab)
+            told = _slabs_in_joint_tone(task) if blamed is None else None
+            if told is None:
+                raise blamed or refusal from None
+            return told
         if refusal.code in OWN_REASONS:
             raise
         blamed = camera_to_blame(task)
@@ -51,6 +55,28 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
             raise
         seen, laid = by_hue
     return _in_joint_tone(seen, laid)
+
+
+def _slabs_in_joint_tone(task: Task) -> tuple[Task, Laid] | None:
+    """Slabs of the told sides, and the photo in a tone that shows them, where luminance shows other ones.
+
+    Stripes of shadow may do that. What is theirs alone changes with the light, and not in a tone of hue.
+    """
+    if task.colour is None:
+        return None
+    try:
+        other = lay(replace(task, slab=None))
+    except Refusal:
+        return None
+    colour = task.colour()
+    toned = _seen_in(task, colour, clearest_tone(colour, other.fit, task.sight.looks.size))
+    if toned is None:
+        return None
+    try:
+        laid = lay(toned)
+    except Refusal:
+        return None
+    return (toned, laid) if laid.settled.margin_nats > other.settled.margin_nats else None
 
 
 def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:

@@ -11,13 +11,17 @@ from paved import CAMERA, CHECKER, STACK, fit_of
 
 from autoreg import laying_in_tone
 from autoreg.align import align
+from autoreg.answer.full_resolution import Laid
 from autoreg.camera import Camera
+from autoreg.errors import Refusal
 from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.beds import BED_BELOW, on_slabs_level
 from autoreg.fitting.fit import Fit
 from autoreg.image import as_gray
 from autoreg.joint_tone import LUMINANCE, Tone, clearest_tone
+from autoreg.laying import lay
 from autoreg.synthetic import SyntheticPhoto
+from autoreg.task import Task
 
 SIZE = (CAMERA.width, CAMERA.height)
 
@@ -77,6 +81,37 @@ def test_luminance_is_what_opencv_takes_for_it(sandy: SyntheticPhoto):
 def test_a_colour_photo_of_joints_that_luminance_hardly_shows_is_aligned_by_their_hue(sandy: SyntheticPhoto):
     assert miss_deg(sandy, sandy.pixels) < 0.02
     assert miss_deg(sandy, sandy.pixels) < 0.5 * miss_deg(sandy, as_gray(sandy.pixels))
+
+
+@pytest.mark.parametrize(("clearer_nats", "aligned"), [(10.0, True), (-10.0, False)])
+def test_a_told_slab_that_luminance_does_not_show_is_looked_for_in_the_tone_of_the_joints(
+    sandy: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch, clearer_nats: float, aligned: bool
+):
+    # As among the stripes of a railing's shadow, which look like slabs of other sides.
+    unlike = Refusal("slab_mismatch", "the slabs in this photo have sides in another ratio")
+    shown: list[float] = []
+
+    def lay_where_slabs_are_unlike(task: Task) -> Laid:
+        if task.slab is not None and not task.sight.toned:
+            raise unlike
+        laid = lay(task)
+        shown.append(laid.settled.margin_nats if not shown else shown[0] + clearer_nats)
+        evidence = laid.settled.evidence_nats
+        more = 0.5 * (shown[-1] - laid.settled.margin_nats)
+        return replace(
+            laid, settled=replace(laid.settled, evidence_nats=(evidence[0] + more, evidence[1] + more))
+        )
+
+    monkeypatch.setattr(laying_in_tone, "lay", lay_where_slabs_are_unlike)
+    if aligned:
+        assert miss_deg(sandy, sandy.pixels) < 0.02
+    else:
+        with pytest.raises(Refusal) as refused:
+            align(sandy.pixels, sandy.camera, slab=(0.6, 0.4))
+        assert refused.value is unlike
+    with pytest.raises(Refusal) as refused:
+        align(as_gray(sandy.pixels), sandy.camera, slab=(0.6, 0.4))
+    assert refused.value is unlike
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,19 @@ def test_joints_that_are_measured_anew_are_met_at_both_edges(along_edges: Fit, p
     assert crossing_px < 0.1
 
 
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_joints_of_which_more_are_missed_when_measured_anew_stay_as_they_were(
+    along_edges: Fit, photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch, missing: float
+):
+    # A rim in the light differs from the other side as well, and beside it a wide strip meets nothing.
+    anew = with_both_edges(gray_of(photo), along_edges, reach=6.0)
+    kept = np.random.default_rng(3).uniform(size=len(anew.usable)) >= missing
+    thinner = replace(anew, usable=anew.usable & kept)
+    assert max(one_edge(thinner)) < 0.1
+    monkeypatch.setattr("autoreg.fitting.one_edge.refine_until_still", lambda *_, **__: thinner)
+    assert (with_both_edges(gray_of(photo), along_edges, reach=6.0) is along_edges) == (missing > 0)
+
+
 def test_a_fit_that_met_both_edges_stays(stack_fit: Fit, stack_photo: SyntheticPhoto):
     assert with_both_edges(gray_of(stack_photo), stack_fit, reach=6.0) is stack_fit
 

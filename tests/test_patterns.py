@@ -6,7 +6,7 @@ from made_sides import drawn_presence, made_presence, presence_with
 
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
 from autoreg.paving.lattice_choice import departs, hopeful
-from autoreg.paving.patterns import best_pattern, broken, outstanding, skipping, true_sides
+from autoreg.paving.patterns import best_pattern, broken, half_there, outstanding, skipping, true_sides
 from autoreg.paving.presence import Presence
 
 
@@ -52,6 +52,24 @@ def test_worn_joints_are_not_taken_for_marks_between_others():
     sides = slab_sides(Grid(1.0, 1.0), np.zeros(2), np.full(2, 10.0))
     # Every second one is worn away in places, and as strong as the others where it is not.
     assert outstanding(weakly_there((sides.line % 2 == 0), 0.0), ALONG_X) is None
+
+
+@pytest.mark.parametrize("shift", [1 / 3, 0.5, 0.75])
+@pytest.mark.parametrize("worn", [0.0, 0.3])
+def test_of_unbroken_joints_of_slabs_both_kinds_of_pieces_are_there(shift: float, worn: float):
+    rng = np.random.default_rng(7)
+    sides = slab_sides(Grid(1.0, 0.5, shift), np.zeros(2), np.full(2, 12.0))
+    seen = rng.uniform(size=len(sides)) >= worn
+    assert not half_there(drawn_presence(sides, seen, rng))
+    second = sides.cell % 2 == 1
+    pieces = [np.flatnonzero((sides.family == ALONG_X) & (second == kind)) for kind in (False, True)]
+    short, long = sorted(pieces, key=lambda rows: float(np.ptp(sides.ends[rows[0], :, 0])))
+    # Edges of hexagons are the shorter ones; those of slabs may well be too short to be seen.
+    for gone, halved in ((long, True), (short, shift == 0.5)):
+        left = seen.copy()
+        left[gone] = False
+        assert half_there(drawn_presence(sides, left, rng)) == halved
+    assert not half_there(drawn_presence(sides, seen & (sides.family == ALONG_Y), rng))
 
 
 def test_where_all_sides_are_there_none_is_left_out():

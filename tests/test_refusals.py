@@ -143,7 +143,7 @@ def test_joints_that_lean_together_blame_whoever_told_the_focal_length(
 
 def test_joints_of_which_many_run_along_the_lattice_are_not_askew_for_what_is_strewn_over_them():
     def scattered(along: float) -> Directions:
-        return Directions(0.0, np.radians(9.0), along, 120)
+        return Directions(0.0, np.radians(9.0), along, 120, np.radians(6.0), np.radians(5.0), 0.5)
 
     refusal = askew((scattered(0.15), scattered(0.15)))
     assert refusal is not None

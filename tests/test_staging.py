@@ -10,7 +10,7 @@ from autoreg.errors import InputError
 from autoreg.layout import slab_centre
 from autoreg.rendering.demo import demo_objects
 from autoreg.rendering.objects import Box, Light, Object, OnGround, OnSlab, Scene, Sphere, UnderPixel
-from autoreg.rendering.staging import judged_exposure, lamps_for, stage
+from autoreg.rendering.staging import can_be_staged, judged_exposure, lamps_for, stage
 from autoreg.rendering.sun import Sun
 from autoreg.view import View
 
@@ -48,6 +48,25 @@ def test_where_no_paving_was_seen_in_the_middle_the_demo_stands_at_the_origin():
     aside = View(CAMERA, looking([-0.6, -2.6, 1.6], [-6.0, 0.3, 0.0]))
     place = demo_objects(aside, replace(STACK, extent=0.2 * STACK.extent))[0].place
     assert (place.i, place.j) == (0, 0)
+
+
+def test_where_paving_was_seen_far_off_alone_the_demo_stands_there():
+    # What lies in the upper part of the picture, beyond a lawn say.
+    far = STACK.extent + VIEW.ground_under(np.array([320.0, 60.0])) - STACK.extent.mean(0)
+    near_it = replace(STACK, extent=0.2 * (far - far.mean(0)) + far.mean(0))
+    objects = demo_objects(VIEW, near_it)
+    foot = slab_centre(near_it, objects[0].place.i, objects[0].place.j)
+    assert np.abs(foot - far.mean(0)).max() < 2 * STACK.spacing_x
+    seen = [thing for thing in objects if can_be_staged(thing, VIEW, near_it)]
+    assert staged(*seen, lattice=near_it)
+
+
+def test_what_is_out_of_the_picture_cannot_be_staged():
+    near, above = (Object("ball", BALL, OnSlab(0, 0), lift_m=lift) for lift in (0.0, 30.0))
+    assert can_be_staged(near, VIEW, STACK)
+    assert not can_be_staged(above, VIEW, STACK)
+    with pytest.raises(InputError):
+        staged(above)
 
 
 @pytest.mark.parametrize("camera", [CAMERA, distorted()], ids=["pinhole", "lens"])

@@ -12,7 +12,7 @@ from paved import STACK, fit_of
 
 from autoreg.align import align
 from autoreg.answer.full_resolution import _turned
-from autoreg.answer.pattern_refusals import MOST_FANNED_DEG, turning
+from autoreg.answer.pattern_refusals import MOST_FANNED_DEG, turning, zigzag
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
@@ -176,6 +176,35 @@ def test_a_lattice_does_not_lie_across_its_stones(fit: Fit, degrees: tuple[float
         alike = turned_alike(directions(across, fit, field))
         assert alike is not None
         assert np.sign(alike.angle) == np.sign(degrees[0])
+
+
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+@pytest.mark.parametrize(
+    ("degrees", "refused"), [((30.0, -30.0), True), ((30.0, 25.0), False), ((4.0, -4.0), False)]
+)
+def test_joints_that_run_aslant_to_either_side_in_turn_are_those_of_hexagons(
+    fit: Fit, family: int, degrees: tuple[float, float], refused: bool
+):
+    # Those of slabs run along the lattice; stripes of light that cross them all run the same way.
+    segments, field = scattered(fit, (0.3, 0.3))
+    turn = np.zeros(len(segments))
+    own = np.arange(COUNT * COUNT) + family * COUNT * COUNT
+    turn[own] = np.radians(np.resize(degrees, len(own)))
+    aslant = about_their_middles(fit, segments, turn)
+    refusal = zigzag(directions(aslant, fit, field))
+    assert (refusal is not None) == refused
+    if refusal is not None:
+        assert "hexagons" in refusal.message
+        assert refusal.measured == pytest.approx(30.0, abs=0.5)
+        own_refusal = _turned(aslant, fit, field)
+        assert own_refusal is not None
+        assert "hexagons" in own_refusal.message
+
+
+def test_joints_along_a_lattice_outweigh_what_runs_aslant_of_it(fit: Fit):
+    segments, field = scattered(fit, (0.3, 0.3))
+    turn = np.radians(np.resize([0.0, 30.0, -30.0], len(segments)))
+    assert zigzag(directions(about_their_middles(fit, segments, turn), fit, field)) is None
 
 
 @pytest.mark.parametrize(("turn_deg", "count"), [(12.0, COUNT * COUNT), (0.0, 20)])

@@ -14,10 +14,12 @@ from autoreg.answer.pattern_refusals import (
     askew,
     fanned,
     filled,
+    in_part,
     off_lattice,
     on_module,
     one_edged,
     turning,
+    zigzag,
 )
 from autoreg.answer.refusals import ambiguous, maybe_wall, no_lattice, not_measured
 from autoreg.answer.right_angles import Squared, square_up
@@ -38,6 +40,7 @@ from autoreg.paving.lattice_choice import of_joints_alone
 from autoreg.paving.lattice_evidence import Paving, has_ratio, line_evidence, presented
 from autoreg.paving.meetings import meetings
 from autoreg.paving.side_support import presence_of
+from autoreg.paving.whole_sides import part_that_is_there
 from autoreg.rows.arcs import common_arc
 from autoreg.rows.cross_joints import change_of_lean
 from autoreg.rows.rows import STEP_SIGMA, Rows
@@ -135,9 +138,11 @@ def measured_slabs(
     # Who tells the slab has told which of the two it is, unless both have its shape.
     if coarser is not None and (slab is None or has_ratio(coarser.grid, slab)):
         raise ambiguous(settled, coarser)
-    module = _on_module(settled)
-    if module is not None:
-        raise module
+    # By a camera that is known, joints at other angles do not look square to each other.
+    part = part_that_is_there(small, settled.fit, settled.presence.field) if free.focal else None
+    pattern = in_part(part) or _on_module(settled)
+    if pattern is not None:
+        raise pattern
     full = filled(inner_share(sight.segments, fit, settled.presence.field))
     if full is not None:
         raise full
@@ -164,7 +169,7 @@ def _turned(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
     margins = (0.0,) if straight(run) else (0.0, AROUND)
     turns = (common_turn(segments, fit, field, margin=margin) for margin in margins)
     turned = next((refusal for turn in turns if (refusal := turning(turn))), None)
-    return turned or askew(run) or off_lattice(turned_alike(run))
+    return turned or zigzag(run) or askew(run) or off_lattice(turned_alike(run))
 
 
 def _on_module(paving: Paving) -> Refusal | None:

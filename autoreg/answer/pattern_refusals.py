@@ -9,6 +9,7 @@ import numpy as np
 from autoreg.errors import Refusal
 from autoreg.fitting.one_edge import MOST as MOST_ONE_EDGED
 from autoreg.paving.meetings import Meetings
+from autoreg.paving.patterns import BROKEN_P
 from autoreg.rows.arcs import Arc
 from autoreg.rows.cross_joints import Lean
 from autoreg.rows.turning_stones import Directions
@@ -26,6 +27,10 @@ MOST_ALONG = 0.3
 # Joints run along their lattice: those of pinwheels of large and small squares lie 2 degrees across what
 # looks like a lattice of theirs, others by 0.3 at most.
 MOST_OFF_DEG, OFF_SIGMAS = 1.0, 5.0
+# Joints of slabs do not all run aslant of their rows, by so much at least, as much to either side: those of
+# hexagons do by 30 degrees, and scatter about that by a small part of it. So many of them run to either side,
+# and next to none along the rows.
+LEAST_ZIGZAG_DEG, SLANT_SCATTER, LEAST_RARER, MOST_ALONG_ZIGZAG = 10.0, 0.2, 0.2, 0.05
 # Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
 MOST_ARC_DEG, ARC_SIGMAS = 3.5, 4.0
 # Of the edges along a lattice's joints so many lie inside its slabs, over the share of those that lie
@@ -81,6 +86,23 @@ def askew(run: Sequence[Directions | None]) -> PatternRefusal | None:
     )
 
 
+def zigzag(run: Sequence[Directions | None]) -> PatternRefusal | None:
+    """The refusal of stones whose joints run aslant to both sides of a lattice's; None if they do not."""
+    for family in run:
+        if family is None or np.degrees(family.aslant) < LEAST_ZIGZAG_DEG:
+            continue
+        even = family.slant_scatter < SLANT_SCATTER * family.aslant and family.rarer > LEAST_RARER
+        if even and family.along < MOST_ALONG_ZIGZAG:
+            return PatternRefusal(
+                "no_lattice",
+                f"the joints between these rows run {np.degrees(family.aslant):.0f} degrees to one side of "
+                "them and to the other, as those of hexagons do; photograph slabs with right angles",
+                measured=round(float(np.degrees(family.aslant)), 1),
+                limit=LEAST_ZIGZAG_DEG,
+            )
+    return None
+
+
 def off_lattice(turn: Lean | None) -> PatternRefusal | None:
     """The refusal of a lattice across which its stones lie; None if they do not."""
     return _curved(
@@ -127,6 +149,20 @@ def filled(inner: float) -> PatternRefusal | None:
         "several stones are; photograph slabs in straight rows",
         measured=round(inner, 2),
         limit=MOST_INNER,
+    )
+
+
+def in_part(parts: tuple[float, float] | None) -> PatternRefusal | None:
+    """The refusal of joints that are there along the same part of every side; None if they are not."""
+    if parts is None:
+        return None
+    return PatternRefusal(
+        "no_lattice",
+        "what repeats here as joints would is there along the same part of every side alone, as edges of "
+        f"hexagons are (p-values {parts[0]:.2f} there, {parts[1]:.2f} beside it); photograph slabs with "
+        "right angles, or give the camera with --camera",
+        measured=round(parts[1], 2),
+        limit=BROKEN_P,
     )
 
 

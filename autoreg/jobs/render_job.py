@@ -36,7 +36,7 @@ from autoreg.rendering.objects import Scene
 from autoreg.rendering.povray_engine import write_image
 from autoreg.rendering.render import EngineName, choose_engine, plan_render, render
 from autoreg.rendering.scene_file import read_scene
-from autoreg.rendering.staging import Staging, focused, stage
+from autoreg.rendering.staging import Staging, can_be_staged, focused, stage
 from autoreg.view import View
 
 PICTURES = ("render.png", "composite.png")
@@ -119,7 +119,10 @@ def make_plan(
     """
     view = View(alignment.camera.camera, alignment.pose.cam_from_ground)
     if wish.demo or wish.scene is None:
-        scene = replace(scene, objects=(*scene.objects, *demo_objects(view, alignment.lattice)))
+        # Nobody chose their places: what does not fit into the picture is left out.
+        demo = demo_objects(view, alignment.lattice)
+        seen = (thing for thing in demo if can_be_staged(thing, view, alignment.lattice))
+        scene = replace(scene, objects=(*scene.objects, *seen))
     staging = stage(scene, view, alignment.lattice, colour)
     if wish.lens is not None:
         staging = focused(staging, _focus(wish.lens, scene, staging, alignment, view, photo))

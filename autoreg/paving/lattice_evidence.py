@@ -14,7 +14,7 @@ from jaxtyping import Float
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS
-from autoreg.paving.patterns import broken
+from autoreg.paving.patterns import broken, half_there
 from autoreg.paving.presence import GROUND_COST, Presence
 from autoreg.paving.side_support import CLOSE, USUAL, looked_at_closer, presence_of
 from autoreg.solve.freedom import log_stretch
@@ -110,7 +110,7 @@ def _presented(
     paired: bool = False,
 ) -> Paving | None:
     """A fit with the presence of its sides, looked at more closely where it is neither plain nor nothing."""
-    if len(presence.p) < 6 or _breaks_off(presence.nearest(0.5)):
+    if len(presence.p) < 6 or (fit.grid.shift and half_there(presence)) or _breaks_off(presence.nearest(0.5)):
         return None
     paving = Paving(fit, presence, line_evidence(presence, fit.grid), within=within)
     if not NOTHING_NATS < paving.margin_nats < PLAIN_NATS:
@@ -121,7 +121,7 @@ def _presented(
     better = max(paving, thorough, key=lambda p: p.margin_nats)
     effort = CLOSE if better is thorough else USUAL
     closer = looked_at_closer(picture, fit, better.presence, effort, paired=paired)
-    if _breaks_off(closer, few=True):
+    if (fit.grid.shift and half_there(closer, few=True)) or _breaks_off(closer, few=True):
         return None
     x, y = _evidence_of(closer, fit.grid)
     price = 0.5 * (GROUND_COST + closer.looks_nats)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
+from autoreg.ground.points import lengths
 from autoreg.ground.sides import ALONG_X
 from autoreg.paving.presence import MISSED, Presence
 
@@ -23,6 +24,8 @@ BREAKS = ((3, 1, 3.0), (4, 1, 3.0), (5, 2, 4.5))
 # ... and where the others are plainly there: in patterns by 3.6 and more, by 1.2 where a patch of moss hid
 # some of a few bricks' joints.
 PRESENT_SIGMAS = 3.0
+# Pieces of an unbroken joint are as long as others if they are at least by this factor.
+AS_LONG = 0.95
 # Each class must hold so many sides, and in a small field so many: herringbone's held 24 and more there.
 LEAST_OF_CLASS, LEAST_OF_FEW = 5, 12
 # A single line may be worn or covered as a whole: of lines, with so many sides, so many are asked for in
@@ -192,6 +195,28 @@ def broken(presence: Presence, family: int, *, few: bool = False) -> bool:
                 if clear and (q > 0 or _whole_lines(line, p, m, int(gone))):
                     return True
     return False
+
+
+def half_there(presence: Presence, *, few: bool = False) -> bool:
+    """Whether every other piece of a running bond's unbroken joints is absent, while the others are there.
+
+    The cross joints of both courses cut them into such pieces. Edges of hexagons lie so, one of each, where
+    two of their three directions are taken for square to each other; of slabs the longer pieces are seen at
+    least as well as the others.
+    """
+    rows = np.flatnonzero(presence.sides.family == ALONG_X)
+    p, second = presence.p[rows], presence.sides.cell[rows] % 2 == 1
+    length = lengths(presence.sides.ends[rows, 1] - presence.sides.ends[rows, 0])
+    kinds = [np.flatnonzero(second == kind) for kind in (False, True)]
+    if min(map(len, kinds)) < (LEAST_OF_FEW if few else LEAST_OF_CLASS):
+        return False
+    there, gone = sorted(kinds, key=lambda kind: float(p[kind].mean()))
+    if np.median(length[gone]) < AS_LONG * np.median(length[there]):
+        return False
+    apart = float(p[gone].mean() - p[there].mean())
+    unit = float(np.sqrt(p[gone].var() / len(gone) + p[there].var() / len(there)))
+    clear = p[gone].mean() > BROKEN_P and p[there].mean() < PRESENT_P and apart > PRESENT_SIGMAS * unit
+    return bool(clear or (p[gone].mean() > PRESENT_P and apart > SURELY_SIGMAS * unit))
 
 
 def _whole_lines(line: Int[np.ndarray, " n"], p: Float[np.ndarray, " n"], period: int, phase: int) -> bool:

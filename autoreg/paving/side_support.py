@@ -98,7 +98,7 @@ def presence_of(
         only=only,
         field=field,
     )
-    return _presence_of_sides(picture, lattice, sides, effort, paired=paired)
+    return presence_of_these(picture, lattice, sides, effort, paired=paired)
 
 
 def looked_at_closer(
@@ -115,14 +115,20 @@ def looked_at_closer(
     on what grows or lies around it. The choice of the box costs `GROUND_COST`.
     """
     box = likeliest_box(presence.sides.middle, presence.llr_by_missed)
-    return _presence_of_sides(
+    return presence_of_these(
         picture, lattice, presence.sides.take(np.flatnonzero(box)), effort, paired=paired
     )
 
 
-def _presence_of_sides(
-    picture: Float[np.ndarray, "h w"], lattice: LatticeSeen, sides: Sides, effort: Effort, *, paired: bool
+def presence_of_these(
+    picture: Float[np.ndarray, "h w"],
+    lattice: LatticeSeen,
+    sides: Sides,
+    effort: Effort = USUAL,
+    *,
+    paired: bool = False,
 ) -> Presence:
+    """How well some sides of a lattice, or parts of them, are supported; the rest is as for `presence_of`."""
     n = len(sides)
     if n == 0:
         none = np.zeros(0)

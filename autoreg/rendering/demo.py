@@ -9,6 +9,9 @@ from autoreg.layout import slab_at, slab_centre, slab_side_x, was_seen
 from autoreg.rendering.objects import Box, Cone, Material, Object, OnSlab, Sphere, colour
 from autoreg.view import View
 
+# So many places along either side of the picture are looked at for paving.
+EVERY = 24
+
 
 def demo_objects(view: View, lattice: Lattice) -> tuple[Object, ...]:
     """A block with a ball on it near the middle of the picture, and a small cone beside it.
@@ -16,9 +19,7 @@ def demo_objects(view: View, lattice: Lattice) -> tuple[Object, ...]:
     The block is as long as a whole number of slabs, or that part of one, that makes it about a seventh
     of the picture high.
     """
-    # A little below the middle, where the ground is; slab (0, 0) if no paving was seen there.
-    wish = view.ground_under(np.array([0.5 * view.camera.width, 0.65 * view.camera.height]))
-    i, j = slab_at(lattice, wish) if np.isfinite(wish).all() and was_seen(lattice, wish) else (0, 0)
+    i, j = _slab_near_the_middle(view, lattice)
     short = min(slab_side_x(lattice), lattice.spacing_y)
     depth = view.cam_from_ground.apply(np.append(slab_centre(lattice, i, j), 0.0))[2]
     wanted = view.camera.height / 7 * max(float(depth), 0.1 * abs(view.eye[2])) / view.camera.fy
@@ -38,3 +39,19 @@ def demo_objects(view: View, lattice: Lattice) -> tuple[Object, ...]:
             Material(colour("#2f6f9f")),
         ),
     )
+
+
+def _slab_near_the_middle(view: View, lattice: Lattice) -> tuple[int, int]:
+    """The slab a little below the picture's middle, where the ground is, or the paving that is nearest to it.
+
+    Slab (0, 0) if no paving is in the picture.
+    """
+    c = view.camera
+    middle = np.array([0.5 * c.width, 0.65 * c.height])
+    u, v = np.meshgrid(np.linspace(0, c.width - 1, EVERY), np.linspace(0, c.height - 1, EVERY))
+    px = np.concatenate([middle[None], np.stack([u, v], -1).reshape(-1, 2)])
+    ground = view.ground_under(px)
+    for k in np.argsort(np.linalg.norm(px - middle, axis=1), kind="stable"):
+        if np.isfinite(ground[k]).all() and was_seen(lattice, ground[k]):
+            return slab_at(lattice, ground[k])
+    return 0, 0

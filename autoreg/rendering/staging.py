@@ -187,6 +187,15 @@ def stage(
     return Staging(solids, sun, lamps, scene.joints, scene.joint_colour)
 
 
+def can_be_staged(thing: Object, view: View, lattice: Lattice) -> bool:
+    """Whether an object would stand where some of it is in the picture."""
+    try:
+        _assert_seen(Solid(thing, _foot(thing, view, lattice)), view, lattice)
+    except InputError:
+        return False
+    return True
+
+
 def focused(staging: Staging, focus: Focus | None) -> Staging:
     """The same through a lens with an opening; None is a pinhole."""
     return replace(staging, focus=focus)

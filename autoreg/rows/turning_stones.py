@@ -61,13 +61,18 @@ class Directions:
     """How the joints of one family run: off the lattice's direction in the median, and how they scatter.
 
     In radians, counterclockwise; the `scatter` is a robust standard deviation of one joint's direction, and
-    `along` the share of them that run along the lattice, to `ALONG_RAD`.
+    `along` the share of them that run along the lattice, to `ALONG_RAD`. They run `aslant`, to whichever
+    side, in the median, and the `slant_scatter` is that of this angle; `rarer` is the share of those to the
+    side that fewer run to.
     """
 
     off: float
     scatter: float
     along: float
     count: int
+    aslant: float
+    slant_scatter: float
+    rarer: float
 
     @property
     def sigma(self) -> float:
@@ -84,11 +89,19 @@ def directions(
     """
     ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
     found = (_off(ground, fit, field, family)[0] for family in (ALONG_X, ALONG_Y))
-    return tuple(
-        Directions(float(np.median(off)), spread(off), float(np.mean(np.abs(off) < ALONG_RAD)), len(off))
-        if len(off) >= 3 * FEWEST_SEGMENTS
-        else None
-        for off in found
+    return tuple(_directions_of(off) if len(off) >= 3 * FEWEST_SEGMENTS else None for off in found)
+
+
+def _directions_of(off: Float[np.ndarray, " n"]) -> Directions:
+    slant, left = np.abs(off), float(np.mean(off > 0))
+    return Directions(
+        off=float(np.median(off)),
+        scatter=spread(off),
+        along=float(np.mean(slant < ALONG_RAD)),
+        count=len(off),
+        aslant=float(np.median(slant)),
+        slant_scatter=spread(slant),
+        rarer=min(left, 1.0 - left),
     )
 
 
