@@ -60,7 +60,8 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
 def _slabs_in_joint_tone(task: Task) -> tuple[Task, Laid] | None:
     """Slabs of the told sides, and the photo in a tone that shows them, where luminance shows other ones.
 
-    Stripes of shadow may do that. What is theirs alone changes with the light, and not in a tone of hue.
+    Stripes of shadow may do that. What is theirs alone changes with the light, and not in a tone of hue, in
+    which the slabs are looked for on the clearest grounds alone.
     """
     if task.colour is None:
         return None
@@ -73,7 +74,7 @@ def _slabs_in_joint_tone(task: Task) -> tuple[Task, Laid] | None:
     if toned is None:
         return None
     try:
-        laid = lay(toned)
+        laid = lay(toned, thorough=False)
     except Refusal:
         return None
     return (toned, laid) if laid.settled.margin_nats > other.settled.margin_nats else None

@@ -91,10 +91,10 @@ def test_a_told_slab_that_luminance_does_not_show_is_looked_for_in_the_tone_of_t
     unlike = Refusal("slab_mismatch", "the slabs in this photo have sides in another ratio")
     shown: list[float] = []
 
-    def lay_where_slabs_are_unlike(task: Task) -> Laid:
+    def lay_where_slabs_are_unlike(task: Task, *, thorough: bool = True) -> Laid:
         if task.slab is not None and not task.sight.toned:
             raise unlike
-        laid = lay(task)
+        laid = lay(task, thorough=thorough)
         shown.append(laid.settled.margin_nats if not shown else shown[0] + clearer_nats)
         evidence = laid.settled.evidence_nats
         more = 0.5 * (shown[-1] - laid.settled.margin_nats)
