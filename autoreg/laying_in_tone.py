@@ -63,19 +63,10 @@ def _slabs_in_joint_tone(task: Task) -> tuple[Task, Laid] | None:
     Stripes of shadow may do that. What is theirs alone changes with the light, and not in a tone of hue, in
     which the slabs are looked for on the clearest grounds alone.
     """
-    if task.colour is None:
-        return None
-    try:
-        other = lay(replace(task, slab=None))
-    except Refusal:
-        return None
-    colour = task.colour()
-    toned = _seen_in(task, colour, clearest_tone(colour, other.fit, task.sight.looks.size))
-    if toned is None:
-        return None
-    try:
-        laid = lay(toned, thorough=False)
-    except Refusal:
+    other = None if task.colour is None else _perhaps_laid(replace(task, slab=None))
+    toned = other and _in_tone_of(task, other.fit)
+    laid = toned and _perhaps_laid(toned, thorough=False)
+    if other is None or toned is None or laid is None:
         return None
     return (toned, laid) if laid.settled.margin_nats > other.settled.margin_nats else None
 
@@ -91,8 +82,14 @@ def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:
     hued = _seen_in(task, colour, finest_hue(colour, task.sight.looks.size))
     if hued is None or not promises(hued.sight, hued.camera):
         return None
+    laid = _perhaps_laid(hued, thorough=False)
+    return None if laid is None else (hued, laid)
+
+
+def _perhaps_laid(task: Task, *, thorough: bool = True) -> Laid | None:
+    """The paving of a photo, or None where it is refused."""
     try:
-        return hued, lay(hued, thorough=False)
+        return lay(task, thorough=thorough)
     except Refusal:
         return None
 
@@ -103,14 +100,9 @@ def _are_rows(laid: Laid) -> bool:
 
 def _in_joint_tone(task: Task, laid: Laid) -> tuple[Task, Laid]:
     """What was laid, or what is in the tone in which its joints show best, with the photo in that tone."""
-    if task.colour is None:
-        return task, laid
-    colour = task.colour()
-    toned = _seen_in(task, colour, clearest_tone(colour, laid.fit, task.sight.looks.size))
-    if toned is None:
-        return task, laid
-    clearer = _laid_anew(toned, laid)
-    if clearer is None:
+    toned = _in_tone_of(task, laid.fit)
+    clearer = None if toned is None else _laid_anew(toned, laid)
+    if toned is None or clearer is None:
         return task, laid
     same = alike(laid.settled, clearer.settled, SAME_SPACING)
     better = same or clearer.settled.margin_nats > laid.settled.margin_nats
@@ -126,6 +118,14 @@ def _at_odds(fit: Fit) -> bool:
     """
     x, y = fit.strip.polarity
     return x * y < 0
+
+
+def _in_tone_of(task: Task, fit: Fit) -> Task | None:
+    """The photo in the tone in which the joints of a fit show best; None if that is luminance."""
+    if task.colour is None:
+        return None
+    colour = task.colour()
+    return _seen_in(task, colour, clearest_tone(colour, fit, task.sight.looks.size))
 
 
 def _seen_in(task: Task, colour: UInt8[np.ndarray, "h w 3"], tone: Hue | Tone | None) -> Task | None:

@@ -82,6 +82,13 @@ class View:
             reach = -self.eye[2] / rays[..., 2]
         return np.where((reach > 0)[..., None], self.eye[:2] + reach[..., None] * rays[..., :2], np.nan)
 
+    def looked_over(self, places: int) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+        """Pixels spread evenly over the picture, so many along either side, and the ground under them."""
+        c = self.camera
+        u, v = np.meshgrid(np.linspace(0, c.width - 1, places), np.linspace(0, c.height - 1, places))
+        px = np.stack([u, v], -1).reshape(-1, 2)
+        return px, self.ground_under(px)
+
     def polylines(
         self, segments: Float[np.ndarray, "n 2 d"], pieces: int
     ) -> tuple[Float[np.ndarray, "k m 2"], Float[np.ndarray, "k m 3"]]:

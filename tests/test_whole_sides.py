@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hexagons import hexagons, photo_of
 from jaxtyping import Float
 from paved import gray_of
+from tiles import hexagons, photo_of
 
 from autoreg.align import align
 from autoreg.answer.pattern_refusals import in_part
@@ -74,6 +74,7 @@ def test_joints_of_slabs_are_there_along_their_whole_sides(stack_fit: Fit, stack
 def test_hexagons_are_no_slabs(across_m: float, pitch_deg: float, heading_deg: float, told: bool):
     camera = Camera.from_focal(1000, 750, 800.0)
     pose = look_at_ground(pitch_deg=pitch_deg, height_m=1.8, heading_deg=heading_deg, foot_m=(0.1, 0.2))
+    photo = photo_of(hexagons(across_m, 8.0), camera, pose, np.random.default_rng(0))
     with pytest.raises(Refusal) as refused:
-        align(photo_of(hexagons(across_m, 8.0), camera, pose), camera if told else None)
+        align(photo, camera if told else None)
     assert refused.value.code in {"no_lattice", "one_direction", "ambiguous"}

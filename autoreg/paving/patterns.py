@@ -188,10 +188,10 @@ def broken(presence: Presence, family: int, *, few: bool = False) -> bool:
             for absent in range(1, most + 1):
                 there, gone = order[-absent - 1], order[-absent]
                 unit = scatter * np.sqrt(1 / count[gone] + 1 / count[there])
-                apart = mean[gone] - mean[there]
                 present = mean[there] < PRESENT_P and not few
-                clear = mean[gone] > BROKEN_P and apart > (PRESENT_SIGMAS if present else sigmas) * unit
-                clear |= mean[gone] > PRESENT_P and apart > SURELY_SIGMAS * unit
+                clear = _absent(
+                    float(mean[gone]), float(mean[there]), unit, PRESENT_SIGMAS if present else sigmas
+                )
                 if clear and (q > 0 or _whole_lines(line, p, m, int(gone))):
                     return True
     return False
@@ -213,10 +213,24 @@ def half_there(presence: Presence, *, few: bool = False) -> bool:
     there, gone = sorted(kinds, key=lambda kind: float(p[kind].mean()))
     if np.median(length[gone]) < AS_LONG * np.median(length[there]):
         return False
-    apart = float(p[gone].mean() - p[there].mean())
-    unit = float(np.sqrt(p[gone].var() / len(gone) + p[there].var() / len(there)))
-    clear = p[gone].mean() > BROKEN_P and p[there].mean() < PRESENT_P and apart > PRESENT_SIGMAS * unit
-    return bool(clear or (p[gone].mean() > PRESENT_P and apart > SURELY_SIGMAS * unit))
+    most, least = float(p[gone].mean()), float(p[there].mean())
+    sigmas = PRESENT_SIGMAS if least < PRESENT_P else SURELY_SIGMAS
+    return _absent(most, least, sigma_apart(p[gone], p[there]), sigmas)
+
+
+def sigma_apart(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> float:
+    """Standard deviation of the difference of two means."""
+    return float(np.sqrt(one.var() / len(one) + other.var() / len(other)))
+
+
+def _absent(gone: float, there: float, sigma: float, sigmas: float) -> bool:
+    """Whether by mean p-values sides of one class are absent beside another: by so many standard deviations.
+
+    Those that look weakly there stand out by more.
+    """
+    if gone > BROKEN_P and gone - there > sigmas * sigma:
+        return True
+    return gone > PRESENT_P and gone - there > SURELY_SIGMAS * sigma
 
 
 def _whole_lines(line: Int[np.ndarray, " n"], p: Float[np.ndarray, " n"], period: int, phase: int) -> bool:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Sides, visible_sides
-from autoreg.paving.patterns import BROKEN_P, PRESENT_P, SURELY_SIGMAS
+from autoreg.paving.patterns import BROKEN_P, PRESENT_P, SURELY_SIGMAS, sigma_apart
 from autoreg.paving.side_support import presence_of_these
 
 # Into so many parts sides are divided that are so long in the picture, and at most so many of them.
@@ -58,8 +58,6 @@ def apart(p: Float[np.ndarray, " n"], kind: np.ndarray) -> tuple[float, float] |
     if len(own) < 2:
         return None
     there, gone = own[0], own[-1]
-    unit = float(np.sqrt(there.var() / len(there) + gone.var() / len(gone)))
     least, most = float(there.mean()), float(gone.mean())
-    return (
-        (least, most) if least < PRESENT_P < BROKEN_P < most and most - least > SURELY_SIGMAS * unit else None
-    )
+    clear = least < PRESENT_P < BROKEN_P < most and most - least > SURELY_SIGMAS * sigma_apart(there, gone)
+    return (least, most) if clear else None

@@ -10,7 +10,7 @@ from autoreg.rendering.objects import Box, Cone, Material, Object, OnSlab, Spher
 from autoreg.view import View
 
 # So many places along either side of the picture are looked at for paving.
-EVERY = 24
+PLACES = 24
 
 
 def demo_objects(view: View, lattice: Lattice) -> tuple[Object, ...]:
@@ -46,12 +46,10 @@ def _slab_near_the_middle(view: View, lattice: Lattice) -> tuple[int, int]:
 
     Slab (0, 0) if no paving is in the picture.
     """
-    c = view.camera
-    middle = np.array([0.5 * c.width, 0.65 * c.height])
-    u, v = np.meshgrid(np.linspace(0, c.width - 1, EVERY), np.linspace(0, c.height - 1, EVERY))
-    px = np.concatenate([middle[None], np.stack([u, v], -1).reshape(-1, 2)])
-    ground = view.ground_under(px)
-    for k in np.argsort(np.linalg.norm(px - middle, axis=1), kind="stable"):
-        if np.isfinite(ground[k]).all() and was_seen(lattice, ground[k]):
-            return slab_at(lattice, ground[k])
+    middle = np.array([0.5 * view.camera.width, 0.65 * view.camera.height])
+    px, ground = view.looked_over(PLACES)
+    nearest = np.argsort(np.linalg.norm(px - middle, axis=1), kind="stable")
+    for point in (view.ground_under(middle), *ground[nearest]):
+        if np.isfinite(point).all() and was_seen(lattice, point):
+            return slab_at(lattice, point)
     return 0, 0

@@ -290,8 +290,7 @@ def _assert_seen(solid: Solid, view: View, lattice: Lattice) -> None:
 def visible_slabs(view: View, lattice: Lattice) -> str:
     """A sentence that says which slabs the picture shows."""
     c = view.camera
-    u, v = np.meshgrid(np.linspace(0, c.width - 1, 24), np.linspace(0, c.height - 1, 24))
-    ground = view.ground_under(np.stack([u, v], -1)).reshape(-1, 2)
+    _, ground = view.looked_over(24)
     low, high = lattice.extent.min(0), lattice.extent.max(0)
     with np.errstate(invalid="ignore"):
         inside = ((ground >= low) & (ground <= high)).all(1)

@@ -1,4 +1,4 @@
-"""Pictures of ground that is laid with hexagonal tiles."""
+"""Pictures of ground that is laid with tiles of any shape, such as hexagons."""
 
 from __future__ import annotations
 
@@ -21,10 +21,9 @@ def hexagons(across_m: float, reach_m: float, joint_m: float = 0.006) -> Float[n
 
 
 def photo_of(
-    tiles: Float[np.ndarray, "n k 2"], camera: Camera, pose: Rigid, seed: int = 0
+    tiles: Float[np.ndarray, "n k 2"], camera: Camera, pose: Rigid, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "h w"]:
     """Light tiles of slightly uneven tone on a dark bed, with blur and noise."""
-    rng = np.random.default_rng(seed)
     tiles = tiles[(tiles @ pose.R[2, :2] + pose.t[2] > 0.2).all(1)]
     px = project_ground(camera, pose, tiles.reshape(-1, 2)).reshape(*tiles.shape)
     fine = np.full((2 * camera.height, 2 * camera.width), 60, np.uint8)
