@@ -187,7 +187,7 @@ def broken(presence: Presence, family: int, *, few: bool = False) -> bool:
             order = np.argsort(mean)
             for absent in range(1, most + 1):
                 there, gone = order[-absent - 1], order[-absent]
-                unit = scatter * np.sqrt(1 / count[gone] + 1 / count[there])
+                unit = float(scatter * np.sqrt(1 / count[gone] + 1 / count[there]))
                 present = mean[there] < PRESENT_P and not few
                 clear = _absent(
                     float(mean[gone]), float(mean[there]), unit, PRESENT_SIGMAS if present else sigmas
