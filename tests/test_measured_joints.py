@@ -24,6 +24,7 @@ from autoreg.paving.corrections import recentred
 from autoreg.slabs import slab_effects
 from autoreg.slabs.measured_joints import MeasuredJoints, measured_joints, widths_told, without_washed_out
 from autoreg.slabs.slab_effects import (
+    BLURRED_ASIDE,
     RIM_ASIDE,
     RIM_BELOW,
     STEPS_RELIEF,
@@ -255,6 +256,19 @@ def test_a_family_of_steps_only_is_moved_less_by_relief_and_more_by_what_is_not_
     assert np.allclose(steps[~along_x], lined[~along_x], rtol=0.05)
     # Tiles without any joints have no beds to hide.
     assert np.allclose(sizes((0, 0)), lined)
+
+
+def test_joints_that_are_nothing_but_blur_may_lie_off_farther_together():
+    fit = fitted()
+    joints = measured_joints(fit, np.flatnonzero(fit.usable))
+    full = joints.width * joints.px_per_unit
+
+    def sizes(blur_px: float) -> np.ndarray:
+        told = replace(joints, fit=replace(fit, strip=replace(fit.strip, blur_px=blur_px)))
+        return np.linalg.norm(common_effects(told)[: len(joints.rows)], axis=1) / full
+
+    sharp, blurred = sizes(0.05), sizes(50.0)
+    assert np.sqrt(blurred**2 - sharp**2) == pytest.approx(BLURRED_ASIDE, rel=0.1)
 
 
 @pytest.mark.parametrize("widths", [True, False])

@@ -29,6 +29,10 @@ DARK_SIDE_SLOPES, DARK_SIDE_END, DARK_SIDE = (0.8, 1.3), 2.5, 0.04
 # Where a joint is hardly wider than so many blurs its middle is that of its darkness, not of its edges, and
 # moves by another share of the width.
 BLURRED_BLURS, BLURRED_SIDE = 2.5, 0.02
+# ... from wherever it is seen: beds and bevels in the shade are seen apart where joints are wide, and are one
+# dark line where they are narrow. Without it, of 92 ray-traced photos by five hands 95 % regions held 89 % of
+# the turns and 90 % of the poses, with it 92 % and 93 %, at the same median errors.
+BLURRED_ASIDE = 0.1
 # Walls that are lit, shaded and dark in parts have yet other shapes: any that changes between these slopes.
 BUMP_SLOPES, BUMP = (0.2, 0.4, 0.7, 1.1, 1.6, 2.3, 3.2, 4.5), 0.015
 # Walls hide a part of the bed, and never lay more of it bare. Shifts of a standard deviation that are all to
@@ -180,20 +184,22 @@ def _hump(steep: Float[np.ndarray, " n"], peak: float, end: float) -> Float[np.n
 def common_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
     """Pixels by which the joints of a family may lie off together, whatever their widths are.
 
-    Alike, or by how steeply they are seen; those seen from one side also by how their walls look.
+    Alike, or by how steeply they are seen, or by how much of them is blur; those seen from one side also by
+    how their walls look.
     """
     fit, slope, full = joints.fit, _slope(joints), _full_width_px(joints)
     family, steps = fit.stations.family[joints.rows], only_steps(fit)
     rimmed = fit.rimmed[joints.rows]
     soon, late = (np.clip(slope / knee, -1.0, 1.0) for knee in (SOON, LATE))
     shapes = np.stack([np.ones_like(slope), np.abs(soon), soon, late], 1)
-    walls = _wall_shapes(np.abs(slope), full / fit.strip.blur_px)
+    blurred = 1.0 / (1.0 + (full / fit.strip.blur_px / BLURRED_BLURS) ** 2)
+    walls = _wall_shapes(np.abs(slope), blurred)
     own: list[np.ndarray] = []
     for each, light in product((ALONG_X, ALONG_Y), joints.lights):
         mine = full * (light & (family == each))
         unseen = LIGHT_TOGETHER if fit.strip.polarity[each] > 0 else TOGETHER
         together = np.where(rimmed, RIMMED_TOGETHER, STEPS_TOGETHER if each in steps else unseen)
-        own.append(shapes * (together * mine)[:, None])
+        own += [shapes * (together * mine)[:, None], (BLURRED_ASIDE * blurred * mine)[:, None]]
         own += [walls * (way * mine * (way * slope > 0))[:, None] for way in (-1.0, 1.0)]
     effects = np.concatenate(own, 1)
     return joints.middles_only(effects @ _main_axes(effects))
@@ -215,16 +221,17 @@ def rim_effects(joints: MeasuredJoints) -> Float[np.ndarray, "k 5"]:
     return joints.middles_only(np.column_stack([own * ~seen, below, own * seen]))
 
 
-def _wall_shapes(steep: Float[np.ndarray, " n"], blurs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n r"]:
+def _wall_shapes(
+    steep: Float[np.ndarray, " n"], blurred: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n r"]:
     """Shares of their width by which walls that no width tells may move the joints seen from one side.
 
-    Joints are seen so `steep`, and are so many `blurs` wide.
+    Joints are seen so `steep`, and are `blurred` by so much: one where they are nothing but blur.
     """
     dark = np.stack([_hump(steep, peak, DARK_SIDE_END) for peak in DARK_SIDE_SLOPES], 1)
-    blurred = dark / (1.0 + (blurs / BLURRED_BLURS) ** 2)[:, None]
     at, places = np.log(np.maximum(steep, 1e-3)), np.log(np.array(BUMP_SLOPES))
     bumps = np.stack([np.interp(at, places, only) for only in np.eye(len(places))], 1)
-    return np.concatenate([DARK_SIDE * dark, BLURRED_SIDE * blurred, BUMP * bumps], 1)
+    return np.concatenate([DARK_SIDE * dark, BLURRED_SIDE * blurred[:, None] * dark, BUMP * bumps], 1)
 
 
 def _main_axes(effects: Float[np.ndarray, "n r"]) -> Float[np.ndarray, "r s"]:
