@@ -12,11 +12,13 @@ from paved import CAMERA, STACK
 from autoreg.align import align
 from autoreg.answer.full_resolution import measured_slabs
 from autoreg.errors import Refusal
+from autoreg.ground.points import project_ground
 from autoreg.ground.sight import looks_at, see
 from autoreg.image import as_gray
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
+from autoreg.rows.cross_joints import find_cross_joints, running_on
 from autoreg.rows.rows import Rows, gaps_in_turn, lay_rows
 from autoreg.search.find import find_paving
 from autoreg.search.rows_on_planes import crossed, plain_alone
@@ -107,6 +109,31 @@ def test_unbroken_joints_without_cross_joints_are_no_rows():
         boards[y : y + 3] = JOINT
     rows, _, _ = rows_in(seen_from_the_camera(boards))
     assert rows is None or rows.margin_nats < 0
+
+
+def test_pieces_of_lines_that_run_on_through_several_rows_are_no_cross_joints(ashlar_rows: Rows):
+    fit, field = ashlar_rows.paving.fit, ashlar_rows.paving.presence.field
+    across = fit.grid.spacing_y
+    rows = across * (np.round(field[:, 1].mean() / across) + np.arange(-1, 2) + 0.5)
+
+    def evidence(place: np.ndarray) -> float:
+        middle = np.stack([field[:, 0].mean() + across * place, np.tile(rows, len(place) // len(rows))], 1)
+        square, aslant = np.array([[0.0, -1.0], [0.0, 1.0]]), np.array([[-0.7, -0.7], [0.7, 0.7]])
+        ends = np.concatenate([middle[:, None] + 0.35 * across * way for way in (square, aslant)])
+        px = project_ground(fit.camera, fit.cam_from_ground, ends.reshape(-1, 2)).reshape(-1, 2, 2)
+        seen = Segments(px, np.full(len(px), 0.1), np.zeros(len(px), int))
+        return find_cross_joints(seen, fit, field, (fit.camera.width, fit.camera.height)).evidence_nats
+
+    assert evidence(np.array([-1.5, -0.2, 1.1, 2.0, -0.8, 0.5])) > FALSE_ALARM_NATS
+    # The mirror image of a window's bars on boards without any cross joints.
+    assert evidence(np.array([-1.0, -1.1, -0.95, 1.0, 0.9, 1.05])) < FALSE_ALARM_NATS
+
+
+def test_segments_run_on_from_those_of_the_row_before_that_are_close_to_their_place():
+    middle = np.array([[0.5, 0.5], [0.6, 1.4], [0.55, 2.5], [5.0, 0.5], [5.6, 1.5], [9.0, 0.5], [9.0, 2.5]])
+    assert running_on(middle).tolist() == [False, True, True, False, False, False, False]
+    assert running_on(-middle[::-1]).tolist() == [False, False, False, False, False, True, True]
+    assert running_on(np.zeros((0, 2))).tolist() == []
 
 
 def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(

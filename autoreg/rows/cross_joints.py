@@ -26,7 +26,10 @@ SHORTEST, LONGEST = 0.3, 1.4
 MOST_LONGER, FEWEST_LONGER = 0.3, 4
 # Segments this close along a row, in its widths, are of one joint: they are its edges, or parts of them.
 ONE_JOINT = 0.15
-# ... and those within this share of a slab of a lattice's cross joint, or of its edges, are of it.
+# Those this close to one of the row before it are of a line that runs on: the mirror image of a window, or a
+# shadow, on boards that have no cross joints at all.
+RUNS_ON = 0.3
+# Segments within this share of a slab of a lattice's cross joint, or of its edges, are of it.
 BESIDE_JOINT = 0.03
 # Segments that lean by less tell how far the cross joints lean together.
 LEANING_RAD = np.radians(20.0)
@@ -107,7 +110,10 @@ class Lean:
 def find_cross_joints(
     segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], size: tuple[int, int]
 ) -> CrossJoints:
-    """Segments of the field at right angles to the unbroken joints, against those of any direction."""
+    """Segments of the field at right angles to the unbroken joints, against those of any direction.
+
+    Of those that run on from row to row the first counts alone.
+    """
     index, ground = _in_field(segments, fit.camera.scaled(*size), fit, field, longest=np.inf)
     along = ground[:, 1] - ground[:, 0]
     fitting = np.linalg.norm(along, axis=1) < LONGEST * fit.grid.spacing_y
@@ -122,10 +128,24 @@ def find_cross_joints(
     oblique = (off_right > OBLIQUE_RAD) & (off_right < np.pi / 2 - OBLIQUE_RAD) & fitting
     # A half observed besides keeps an empty field from proving anything.
     expected = (oblique.sum() + 0.5) * RIGHT_RAD / (np.pi / 2 - 2 * OBLIQUE_RAD)
-    found = int(right.sum())
+    middle = ground[right].mean(1)
+    found = int((~running_on(middle / fit.grid.spacing_y)).sum())
     # The chance of as many or more in a Poisson distribution; scipy.stats would take half a second to import.
     chance = float(gammainc(found, expected)) if found else 1.0
-    return CrossJoints(ground[right].mean(1), float(-np.log(max(chance, 1e-87))), longer)
+    return CrossJoints(middle, float(-np.log(max(chance, 1e-87))), longer)
+
+
+def running_on(middle: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+    """Which segments run on from one of the row before, by their middles in widths of a row."""
+    if len(middle) == 0:
+        return np.zeros(0, dtype=bool)
+    # One number tells the row and the place in it, with room between the rows.
+    along = middle[:, 0] - middle[:, 0].min()
+    apart = along.max() + 2.0 * RUNS_ON + 1.0
+    key = apart * np.floor(middle[:, 1]) + along
+    ordered = np.sort(key)
+    first, last = (np.searchsorted(ordered, key - apart + way * RUNS_ON) for way in (-1.0, 1.0))
+    return last > first
 
 
 def in_columns(cross: CrossJoints, width: float) -> bool:
