@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of, gray_of
 
+from autoreg.align import align
 from autoreg.answer.camera_refusals import camera_contradicted, focal_untold, leaning
 from autoreg.answer.pattern_refusals import askew
-from autoreg.answer.refusals import FEW_SIDES, FRONTAL_DEG, ambiguous, maybe_wall, no_lattice
+from autoreg.answer.refusals import FEW_SIDES, FRONTAL_DEG, ambiguous, hardly_met, maybe_wall, no_lattice
 from autoreg.camera import Camera
+from autoreg.errors import Refusal
 from autoreg.ground.sides import Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import TESTED_NATS, Paving
@@ -43,6 +45,30 @@ def test_a_few_clear_sides_are_too_few(paving: Paving):
     refusal = no_lattice(replace(paving, presence=few, evidence_nats=(11.0, 11.0)), None)
     assert refusal.code == "too_few_joints"
     assert str(len(few.p)) in refusal.message
+
+
+@pytest.mark.parametrize(
+    ("margin_nats", "missed", "doubted"),
+    [(3.0, 0.4, True), (3.0, 0.25, False), (14.0, 0.6, False)],
+)
+def test_a_lattice_hardly_better_than_chance_may_not_miss_most_of_its_joints(
+    paving: Paving, margin_nats: float, missed: float, doubted: bool
+):
+    evidence = 0.5 * (TESTED_NATS + FALSE_ALARM_NATS + margin_nats)
+    refusal = hardly_met(replace(paving, evidence_nats=(evidence, evidence)), missed)
+    assert (refusal is not None) == doubted
+    if refusal is not None:
+        assert (refusal.code, refusal.measured) == ("no_lattice", missed)
+        assert "40 % of its joints" in refusal.message
+
+
+def test_a_lattice_that_is_found_is_asked_whether_its_joints_are_met(
+    stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("autoreg.answer.refusals.DOUBTFUL_NATS", np.inf)
+    monkeypatch.setattr("autoreg.answer.refusals.MOST_OF_DOUBTFUL", -1.0)
+    with pytest.raises(Refusal, match="are not there"):
+        align(stack_photo.pixels, STACK.camera)
 
 
 def test_an_ambiguous_photo_names_both_lattices(paving: Paving):

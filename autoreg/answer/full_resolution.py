@@ -21,7 +21,7 @@ from autoreg.answer.pattern_refusals import (
     turning,
     zigzag,
 )
-from autoreg.answer.refusals import ambiguous, maybe_wall, no_lattice, not_measured
+from autoreg.answer.refusals import ambiguous, hardly_met, maybe_wall, no_lattice, not_measured
 from autoreg.answer.right_angles import Squared, square_up
 from autoreg.answer.slab_shape import of_slab_shape
 from autoreg.errors import Refusal
@@ -134,6 +134,9 @@ def measured_slabs(
     settled = presented(small, _at_detection_scale(fit, small, start), within=start.within)
     if settled is None or settled.margin_nats < 0:
         raise no_lattice(settled, None)
+    doubted = hardly_met(settled, fit.missed)
+    if doubted is not None:
+        raise doubted
     coarser = of_joints_alone(small, settled)
     # Who tells the slab has told which of the two it is, unless both have its shape.
     if coarser is not None and (slab is None or has_ratio(coarser.grid, slab)):
