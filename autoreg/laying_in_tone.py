@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import UInt8
 
+from autoreg.answer.camera_refusals import contradicted_with_slab
 from autoreg.answer.full_resolution import Laid
 from autoreg.answer.pattern_refusals import PatternRefusal
 from autoreg.errors import Refusal
@@ -18,6 +19,7 @@ from autoreg.laying import camera_to_blame, lay, lay_where
 from autoreg.paving.lattice_evidence import SAME_SPACING, alike
 from autoreg.search.find import find_lattice_or_rows_on, find_on
 from autoreg.search.glance import promises
+from autoreg.slabs.camera_check import check_camera
 from autoreg.task import Task
 
 # A tone that leaves the joints so many times as far from their lines as luminance does shows them less well.
@@ -39,11 +41,7 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
         seen, laid = task, lay(task)
     except Refusal as refusal:
         if refusal.code == "slab_mismatch":
-            blamed = camera_to_blame(task, slab=task.slab)
-            told = _slabs_in_joint_tone(task) if blamed is None else None
-            if told is None:
-                raise blamed or refusal from None
-            return told
+            return _of_told_slabs(task, refusal)
         if refusal.code in OWN_REASONS:
             raise
         blamed = camera_to_blame(task)
@@ -57,18 +55,44 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
     return _in_joint_tone(seen, laid)
 
 
-def _slabs_in_joint_tone(task: Task) -> tuple[Task, Laid] | None:
+def _of_told_slabs(task: Task, refusal: Refusal) -> tuple[Task, Laid]:
     """Slabs of the told sides, and the photo in a tone that shows them, where luminance shows other ones.
 
-    Stripes of shadow may do that. What is theirs alone changes with the light, and not in a tone of hue, in
-    which the slabs are looked for on the clearest grounds alone.
+    Raises:
+        Refusal: there are none; that the camera is to blame, or else the `refusal` for the slab.
     """
-    other = None if task.colour is None else _perhaps_laid(replace(task, slab=None))
-    toned = other and _in_tone_of(task, other.fit)
-    laid = toned and _perhaps_laid(toned, thorough=False)
-    if other is None or toned is None or laid is None:
+    blamed = camera_to_blame(task, slab=task.slab)
+    if blamed is not None:
+        raise blamed from None
+    try:
+        other = lay(replace(task, slab=None))
+    except Refusal as own:
+        raise (own if own.code == "camera_contradicted" else refusal) from None
+    told = _slabs_in_joint_tone(task, other)
+    if told is None:
+        raise _against_camera(task, other) or refusal from None
+    return told
+
+
+def _against_camera(task: Task, laid: Laid) -> Refusal | None:
+    """The refusal of a calibrated camera that the joints of a lattice contradict, as the told slab does."""
+    if task.calibrated is None or task.slab is None or _are_rows(laid):
         return None
-    return (toned, laid) if laid.settled.margin_nats > other.settled.margin_nats else None
+    check = check_camera(laid.fit, task.picture, laid.settled.presence.field, laid.likeliest.scatter)
+    return None if check.consistent else contradicted_with_slab(laid.fit, task.slab, check.focal_px)
+
+
+def _slabs_in_joint_tone(task: Task, other: Laid) -> tuple[Task, Laid] | None:
+    """Slabs of the told sides in the tone of the joints of `other` ones; None if it shows none more clearly.
+
+    Stripes of shadow may look like those. What is theirs alone changes with the light, and not in a tone of
+    hue, in which the slabs are looked for on the clearest grounds alone.
+    """
+    toned = _in_tone_of(task, other.fit)
+    laid = None if toned is None else _perhaps_laid(toned, thorough=False)
+    if toned is None or laid is None or laid.settled.margin_nats <= other.settled.margin_nats:
+        return None
+    return toned, laid
 
 
 def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:

@@ -9,7 +9,7 @@ import pytest
 from coloured import SAND, UNEVEN, in_colour, miss_deg
 from paved import CAMERA, CHECKER, STACK, fit_of
 
-from autoreg import laying_in_tone
+from autoreg import laying, laying_in_tone
 from autoreg.align import align
 from autoreg.answer.full_resolution import Laid
 from autoreg.camera import Camera
@@ -112,6 +112,26 @@ def test_a_told_slab_that_luminance_does_not_show_is_looked_for_in_the_tone_of_t
     with pytest.raises(Refusal) as refused:
         align(as_gray(sandy.pixels), sandy.camera, slab=(0.6, 0.4))
     assert refused.value is unlike
+
+
+@pytest.mark.parametrize(("focal_off", "code"), [(0.75, "camera_contradicted"), (1.0, "slab_mismatch")])
+def test_a_camera_that_the_joints_contradict_is_named_where_the_slabs_are_unlike(
+    stack_photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch, focal_off: float, code: str
+):
+    # As where the first glance shows nothing by the joints' own camera, and the slabs lie along the view.
+    for stage in (laying, laying_in_tone):
+        monkeypatch.setattr(stage, "camera_to_blame", lambda *_, **__: None)
+    monkeypatch.setattr(laying, "leaning", lambda *_: None)
+    right = STACK.camera
+    camera = replace(right, fx=focal_off * right.fx, fy=focal_off * right.fy)
+    a, b = STACK.spacing_m
+    with pytest.raises(Refusal) as refused:
+        align(as_gray(stack_photo.pixels), camera, slab=(a, b) if focal_off != 1.0 else (a, 1.4 * b))
+    refusal = refused.value
+    assert refusal.code == code
+    if code == "camera_contradicted":
+        assert refusal.measured == pytest.approx(right.fx, rel=0.02)
+        assert "--slab" in refusal.message
 
 
 @pytest.mark.parametrize(

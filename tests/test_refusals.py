@@ -8,7 +8,12 @@ import pytest
 from paved import STACK, fit_of, gray_of
 
 from autoreg.align import align
-from autoreg.answer.camera_refusals import camera_contradicted, focal_untold, leaning
+from autoreg.answer.camera_refusals import (
+    camera_contradicted,
+    contradicted_with_slab,
+    focal_untold,
+    leaning,
+)
 from autoreg.answer.pattern_refusals import askew
 from autoreg.answer.refusals import FEW_SIDES, FRONTAL_DEG, ambiguous, hardly_met, maybe_wall, no_lattice
 from autoreg.camera import Camera
@@ -78,6 +83,20 @@ def test_an_ambiguous_photo_names_both_lattices(paving: Paving):
     assert refusal.code == "ambiguous"
     assert "stack bond of" in refusal.message
     assert "running bond with shift 0.50" in refusal.message
+
+
+@pytest.mark.parametrize(("told_ratio", "blamed"), [(1.8, True), (4.0, False)])
+def test_a_camera_is_blamed_for_slabs_of_other_sides_if_its_focal_length_may_be_the_reason(
+    paving: Paving, told_ratio: float, blamed: bool
+):
+    fit = paving.fit
+    refusal = contradicted_with_slab(fit, (told_ratio, 1.0), 1.2 * fit.camera.fx)
+    assert fit.grid.ratio == pytest.approx(1.5, rel=0.01)
+    assert (refusal is not None) == blamed
+    if refusal is not None:
+        assert refusal.code == "camera_contradicted"
+        assert "1.500" in refusal.message
+        assert "1.800" in refusal.message
 
 
 @pytest.mark.parametrize(("given", "seen", "blamed"), [(1000.0, 1030.0, False), (1000.0, 1200.0, True)])

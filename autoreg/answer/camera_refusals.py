@@ -9,6 +9,7 @@ import numpy as np
 from autoreg.alignment import CameraSource
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
+from autoreg.fitting.fit import Fit
 from autoreg.rows.cross_joints import Lean
 
 # Cross joints that lean together by more than this, and by so many standard deviations, are none of slabs
@@ -18,6 +19,9 @@ MOST_LEAN_DEG, LEAN_SIGMAS = 3.0, 5.0
 FOCAL_BLAME = 0.05
 # ... and its principal point lie so far off the middle, as a share of the width.
 CENTRE_BLAME = 0.03
+# A focal length that is off, and a principal point with it, changes the ratio of the slabs' sides by no more
+# than so many times as much (logarithms): by 0.6 to 1.4 times in four ray-traced photos.
+RATIO_BY_FOCAL = 2.0
 _OTHER_CAMERA = (
     "the camera file belongs to another camera, zoom or picture size: check it with its calibration, "
     "or leave --camera out"
@@ -50,6 +54,26 @@ def camera_contradicted(given: Camera, from_photo_px: float) -> Refusal | None:
             limit=CENTRE_BLAME,
         )
     return None
+
+
+def contradicted_with_slab(fit: Fit, slab: tuple[float, float], from_photo_px: float) -> Refusal | None:
+    """The refusal of a camera that its joints contradict, and by which the slabs have other sides than told.
+
+    None where the focal length that the joints tell by themselves cannot be the reason for the sides: then
+    they may be those of something else.
+    """
+    camera, told = fit.camera, max(slab) / min(slab)
+    off, by_focal = np.log([fit.grid.ratio / told, from_photo_px / camera.fx])
+    if abs(off) > RATIO_BY_FOCAL * abs(by_focal):
+        return None
+    return Refusal(
+        "camera_contradicted",
+        f"by this camera, of {camera.fx:.0f} px, the slabs have sides in the ratio {fit.grid.ratio:.3f}, "
+        f"those given with --slab {told:.3f}, and the joints contradict it: by themselves they tell "
+        f"{from_photo_px:.0f} px; {_OTHER_CAMERA}",
+        measured=round(from_photo_px, 1),
+        limit=round(camera.fx, 1),
+    )
 
 
 def leaning(lean: Lean | None, camera: Camera, source: CameraSource) -> Refusal | None:

@@ -105,9 +105,7 @@ def of_slab_shape(
 def slab_mismatch(fit: Fit, slab: tuple[float, float], *, camera_told: bool) -> Refusal:
     """The refusal of a slab whose sides cannot be those of the photo's lattice."""
     check = "check that the camera belongs to this photo" if camera_told else "give the camera with --camera"
-    a, b = fit.grid.spacing_x, fit.grid.spacing_y
-    assert a is not None
-    seen, told = max(a, b) / min(a, b), max(slab) / min(slab)
+    seen, told = fit.grid.ratio, max(slab) / min(slab)
     return Refusal(
         "slab_mismatch",
         f"the slabs in this photo have sides in the ratio {seen:.3f}, those given with --slab {told:.3f}; "
@@ -130,7 +128,7 @@ def unlike_slab(fit: Fit, slab: tuple[float, float], ratio_sigma: float, scale: 
     if a is None:
         return None
     short, long = sorted(slab)
-    ratio = max(a, b) / min(a, b)
+    ratio = fit.grid.ratio
     sure = max(OTHER_RATIO, OTHER_RATIO_SIGMAS * ratio_sigma)
     if abs(log_stretch(a, b, slab)) < sure:
         return None

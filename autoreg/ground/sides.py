@@ -38,6 +38,11 @@ class Grid:
         return float(np.sqrt(a * b))
 
     @property
+    def ratio(self) -> float:
+        """Longer side of a slab over its shorter one."""
+        return max(self.slab_size) / min(self.slab_size)
+
+    @property
     def odd_bond(self) -> bool:
         """Whether it is a running bond whose shift no paver would choose: only the joints tell it."""
         return self.spacing_x is not None and not is_customary(self.shift)
