@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import atexit
 import gc
+import importlib
 import os
 import sys
 from types import ModuleType
+from typing import Any
+
+import numpy as np
 
 from autoreg.errors import INTERRUPTED
 
 # So many objects may come to be before Python looks for garbage among them. While modules are imported nearly
 # all of them stay, and looking takes a tenth of the time.
 GARBAGE = 200_000
+# Parts of NumPy that SciPy takes hold of, with all that NumPy has a name for, and that nothing here asks of
+# anything. To import them takes as long as NumPy itself.
+UNASKED = ("f2py", "testing")
 
 
 class _Shape:
@@ -34,12 +41,22 @@ class _Shapes(ModuleType):
         return _Shape
 
 
+class _Unasked(ModuleType):
+    """Stands for a module until something of it is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self.__name__), name)
+
+
 def program() -> None:
     """Run the command line, and end the process with the contract's exit code."""
     gc.set_threshold(GARBAGE)
     # Alignment and calibration hold BLAS to one thread (blas_threads.py); here no others need be started.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.modules.setdefault("jaxtyping", _Shapes("jaxtyping"))
+    for name in UNASKED:
+        # NumPy imports them itself when they are asked for by name.
+        vars(np).setdefault(name, _Unasked(f"numpy.{name}"))
     try:
         from autoreg.command.cli import main
     except KeyboardInterrupt:

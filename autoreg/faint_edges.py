@@ -13,7 +13,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from scipy.ndimage import map_coordinates
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -81,6 +80,9 @@ def _filter(number: int) -> Float[np.ndarray, "k k"]:
 
 def _places(sigmas: Float[np.ndarray, "h w"], number: Int[np.ndarray, "h w"]) -> _Places:
     """Where the answers are strongest across their own direction, to a part of a pixel."""
+    # Few photos need it, and it takes a twentieth of a second to import.
+    from scipy.ndimage import map_coordinates
+
     size = np.abs(sigmas).astype(np.float32)
     y, x = np.nonzero(size > LEAST_SIGMAS)
     normal, own = _normal(number[y, x]), size[y, x]

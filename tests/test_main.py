@@ -99,3 +99,18 @@ def test_a_photo_is_aligned_without_jaxtyping_and_without_jax_once_the_solver_is
     )
     assert (cold.returncode, warm.returncode) == (0, 0)
     assert (cold.stdout, warm.stdout) == ("['jax', 'jaxopt']\n", "[]\n")
+
+
+def test_what_scipy_takes_hold_of_is_imported_when_something_of_it_is_asked_for():
+    done = program(
+        "def main():\n"
+        "    import scipy.linalg\n"
+        "    print([name for name in ('f2py', 'testing') if f'numpy.{name}' in sys.modules])\n"
+        "    import numpy\n"
+        "    numpy.testing.assert_array_equal([1], [1])\n"
+        "    print('numpy.testing' in sys.modules, callable(numpy.f2py.get_include))\n"
+        "    import numpy.testing as testing\n"
+        "    print(testing.assert_allclose.__name__)\n"
+        "    sys.exit(0)"
+    )
+    assert (done.stdout, done.stderr) == ("[]\nTrue True\nassert_allclose\n", "")
