@@ -10,8 +10,6 @@ import sys
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
 from autoreg.errors import INTERRUPTED
 
 # So many objects may come to be before Python looks for garbage among them. While modules are imported nearly
@@ -54,10 +52,12 @@ def program() -> None:
     # Alignment and calibration hold BLAS to one thread (blas_threads.py); here no others need be started.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.modules.setdefault("jaxtyping", _Shapes("jaxtyping"))
-    for name in UNASKED:
-        # NumPy imports them itself when they are asked for by name.
-        vars(np).setdefault(name, _Unasked(f"numpy.{name}"))
     try:
+        import numpy as np
+
+        for name in UNASKED:
+            # NumPy imports them itself when they are imported by name.
+            vars(np).setdefault(name, _Unasked(f"numpy.{name}"))
         from autoreg.command.cli import main
     except KeyboardInterrupt:
         # Before the command has begun there is nothing to end or to tell.

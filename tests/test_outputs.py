@@ -7,8 +7,10 @@ import pytest
 from autoreg.errors import InputError
 from autoreg.jobs.outputs import (
     clear_results,
+    is_sealed,
     kept_apart,
     results_in,
+    sealed,
     usable_folder,
     whole_run,
     write_png,
@@ -56,6 +58,24 @@ def test_earlier_results_are_cleared_only_where_a_report_stands(tmp_path):
     (tmp_path / "notes.txt").write_text("keep")
     clear_results(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_scene_tells_by_itself_whether_it_was_changed():
+    content = sealed("camera { }\n// größer\n")
+    assert content.startswith("camera { }\n// größer\n".encode())
+    assert is_sealed(content)
+    assert is_sealed(sealed(content.decode()))
+    for other in (b"mine " + content, content + b"sphere { }\n", content.replace(b"camera", b"light"), b""):
+        assert not is_sealed(other)
+
+
+def test_a_full_disk_is_told_by_the_place_that_was_asked_for(tmp_path):
+    with (
+        pytest.raises(OSError, match=r"No space left on device: '.*/out/overlay\.png'"),
+        whole_run(tmp_path / "out", print) as place,
+    ):
+        raise OSError(28, "No space left on device", str(place / "overlay.png"))
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("name", ["overlay.png", "alignment.json", "scene-thing_cup.png"])

@@ -13,11 +13,12 @@ from paved import CAMERA, STACK, fit_of, gray_of
 
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
-from autoreg.geometry import Rigid
+from autoreg.geometry import Rigid, nearest_rotation
 from autoreg.ground.ground_frame import with_origin
 from autoreg.ground.points import inside_convex, on_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid, slab_sides
 from autoreg.joints.joint_looks import Strip
+from autoreg.paving.lattice_choice import BETWEEN
 from autoreg.paving.lattice_evidence import line_evidence
 from autoreg.paving.presence import GROUND_COST, Presence, p_llr
 from autoreg.paving.side_support import CLOSE, PAIRED_COST, looked_at_closer, presence_of
@@ -107,6 +108,23 @@ def test_chance_is_worth_one_on_average(missed: float):
 def test_a_smaller_p_value_speaks_more_for_a_side(p: float, q: float):
     low, high = p_llr(np.array([max(p, q), min(p, q)]), 0.25)
     assert low <= high
+
+
+def test_places_behind_the_camera_are_no_evidence():
+    # A wide lens rolled over long slabs: beside some sides at the rim lies what it cannot see.
+    camera = Camera(948, 632, 374.5, 374.5, 473.5, 315.5, (-0.0842, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    R = nearest_rotation(
+        np.array(
+            [[0.96533, 0.22682, -0.12918], [-0.09928, -0.13866, -0.98535], [-0.24141, 0.96402, -0.11133]]
+        )
+    )
+    strip = Strip((0.0346, 0.0162), 0.53, (0, -1))
+    seen = Laid(camera, Rigid(R, np.array([1.261, 1.3305, -1.592])), Grid(4.3063, 1.0708), strip)
+    picture = np.random.default_rng(0).normal(120.0, 20.0, (632, 948)).astype(np.float32)
+    presence = presence_of(picture, seen, BETWEEN, only=ALONG_Y)
+    assert len(presence.p) > 20
+    assert np.isfinite(presence.p).all()
+    assert presence.p.min() > 0.001
 
 
 def test_the_nearest_share_is_that_of_the_largest_sides(stack_photo: SyntheticPhoto):

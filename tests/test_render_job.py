@@ -162,6 +162,32 @@ def test_a_failed_render_exits_4_and_leaves_no_picture_of_an_earlier_scene(folde
     assert json.loads(Path("out/alignment.json").read_text())["render"] is None
 
 
+def test_a_render_that_cannot_be_written_leaves_the_last_one_as_it_was(folder, monkeypatch):
+    assert run("--scene", "scene.toml").exit_code == 0
+    before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
+    written = render_job.write_png
+
+    def full(path, image):
+        if path.name == "composite.png":
+            raise OSError(28, "No space left on device", str(path))
+        return written(path, image)
+
+    monkeypatch.setattr(render_job, "write_png", full)
+    done = run("--lines")
+    assert done.exit_code == 2
+    assert "No space left on device: 'out/composite.png'" in done.stderr
+    assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+
+
+def test_what_an_earlier_scene_named_does_not_stay_beside_another_one(folder):
+    assert run("--scene", "scene.toml").exit_code == 0
+    Path("out/scene-thing_cup.inc").write_text("a mesh of an earlier scene")
+    Path("out/overlay.png").write_bytes(b"the alignment's")
+    assert run("--lines").exit_code == 0
+    assert not Path("out/scene-thing_cup.inc").exists()
+    assert Path("out/overlay.png").read_bytes() == b"the alignment's"
+
+
 def test_the_photo_is_found_from_elsewhere_and_another_folder_gets_everything(folder, monkeypatch):
     (folder / "deep").mkdir()
     monkeypatch.chdir(folder / "deep")

@@ -88,7 +88,8 @@ def rested(
     if np.linalg.slogdet(exact.plain[turn])[1] > np.linalg.slogdet(settled.covariance[turn])[1]:
         return replace(settled, covariance=settled.covariance + exact.doubted)
     covariance = exact.covariance
-    if most > LOPSIDED:
-        # In noise, or where joints are narrower than the blur, flat ones cannot be told from sunk ones.
+    if most > LOPSIDED or settled.scatter.relief > 0:
+        # In noise, where joints are narrower than the blur, and where they are filled nearly to the top, flat
+        # ones cannot be told from sunk ones.
         covariance = covariance + settled.covariance + np.outer(exact.away, exact.away)
     return replace(settled, fit=exact.fit, covariance=covariance)

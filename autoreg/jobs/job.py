@@ -18,6 +18,7 @@ from autoreg.errors import InputError, Refusal, RenderError
 from autoreg.ground.sight import see
 from autoreg.image import load_photo
 from autoreg.jobs.outputs import (
+    OVERLAY_NAME,
     REPORT_NAME,
     as_paths,
     kept_apart,
@@ -197,7 +198,7 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
         overlay = drawn.result()
         with whole_run(job.folder, listener.note) as place:
             staged = beside.submit(write_scene, place, plan)
-            made = [write_png(place / "overlay.png", overlay), *staged.result(), write_report(place, report)]
+            made = [write_png(place / OVERLAY_NAME, overlay), *staged.result(), write_report(place, report)]
         written = [job.folder / path.name for path in made]
     if job.engine is None:
         return Outcome(report, alignment, None, None, tuple(written))

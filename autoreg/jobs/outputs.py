@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Collection, Generator, Iterable
 from contextlib import contextmanager, suppress
+from hashlib import sha256
 from itertools import count
 from pathlib import Path
 
@@ -71,12 +72,12 @@ def usable_folder(folder: Path) -> Path:
     return folder
 
 
-# What was written so much later than its run's report was written by somebody else.
-AT_ONCE_S = 2.0
-REPORT_NAME, SCENE_NAME = "alignment.json", "scene.pov"
+# Stands in a scene's last line, before the digest of all that comes before it.
+SEAL = b"// As autoreg wrote it, as long as this is the SHA-256 of all above: "
+REPORT_NAME, SCENE_NAME, OVERLAY_NAME = "alignment.json", "scene.pov", "overlay.png"
 # The pictures and texts of one run; a later run into the same folder must not mix with them.
 RESULT_NAMES = (
-    "overlay.png",
+    OVERLAY_NAME,
     SCENE_NAME,
     "scene-photo.png",
     "scene-undistorted.png",
@@ -121,10 +122,11 @@ def places_free(outputs: Iterable[Path]) -> None:
 
 
 @contextmanager
-def whole_run(folder: Path, note: Callable[[str], None]) -> Generator[Path]:
+def whole_run(folder: Path, note: Callable[[str], None], staying: Collection[str] = ()) -> Generator[Path]:
     """A hidden folder for a run's results, which take their places in `folder` when all of them are there.
 
-    Only then do an earlier run's give way, and they stay if anything fails; `note` is told what is kept.
+    Only then do an earlier run's give way, but for those of the names that are `staying`, and all of them
+    stay if anything fails; `note` is told what is kept.
 
     Raises:
         InputError: the folder cannot be made, or takes no files.
@@ -140,40 +142,54 @@ def whole_run(folder: Path, note: Callable[[str], None]) -> Generator[Path]:
     try:
         yield hidden
         keep_edited(folder, note)
-        clear_results(folder)
+        clear_results(folder, staying)
         # The report says that all that it stands beside is there.
         for path in sorted(hidden.iterdir(), key=lambda path: path.name == REPORT_NAME):
             os.replace(path, folder / path.name)
-    except BaseException:
+    except BaseException as error:
         shutil.rmtree(hidden, ignore_errors=True)
         if fresh:
             with suppress(OSError):
                 folder.rmdir()
+        if isinstance(error, OSError) and error.filename is not None:
+            name = Path(error.filename)
+            # Nobody knows of the hidden folder.
+            place = folder / name.name if name.parent == hidden else name
+            raise OSError(error.errno, error.strerror, str(place)) from error
         raise
     hidden.rmdir()
 
 
-def clear_results(folder: Path) -> None:
+def clear_results(folder: Path, staying: Collection[str] = ()) -> None:
     """Take away an earlier run's results, so that a folder never shows two runs at once.
 
-    Only in a folder that holds an alignment.json: any other is not known to be ours.
+    Only in a folder that holds an alignment.json: any other is not known to be ours. Those of the names that
+    are `staying` do.
     """
     report, *others = results_in(folder)
     if report.is_file():
         for path in others:
-            path.unlink(missing_ok=True)
+            if path.name not in staying:
+                path.unlink(missing_ok=True)
         report.unlink()
 
 
-def keep_edited(folder: Path, note: Callable[[str], None]) -> None:
-    """Give a scene.pov that was changed after its run another name, and say so: the next would write over it.
+def sealed(text: str) -> bytes:
+    """A scene's text as it is written, with what tells whether anybody has changed it since."""
+    content = text.encode()
+    return content + SEAL + sha256(content).hexdigest().encode() + b"\n"
 
-    A run writes its report last.
-    """
-    scene, report = folder / SCENE_NAME, folder / REPORT_NAME
-    if not (scene.is_file() and report.is_file()):
-        return
-    if scene.stat().st_mtime < report.stat().st_mtime + AT_ONCE_S:
+
+def is_sealed(content: bytes) -> bool:
+    """Whether what a scene's file holds is as it was written."""
+    text, _, digest = content.rpartition(SEAL)
+    return digest.strip() == sha256(text).hexdigest().encode()
+
+
+def keep_edited(folder: Path, note: Callable[[str], None]) -> None:
+    """Give a scene.pov that is not as a run wrote it another name, and say so: the next writes over it."""
+    scene = folder / SCENE_NAME
+    if not scene.is_file() or is_sealed(scene.read_bytes()):
         return
     names = (f"scene-edited-{number}.pov" for number in count(1))
     free = next(folder / name for name in names if not (folder / name).exists())

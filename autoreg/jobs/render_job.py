@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,14 +16,16 @@ from autoreg.formats.exif import read_exif
 from autoreg.image import Photo, load_photo
 from autoreg.jobs.alignment_file import SavedAlignment, aligned_photo, read_alignment, with_photo
 from autoreg.jobs.outputs import (
+    OVERLAY_NAME,
     REPORT_NAME,
     SCENE_NAME,
     as_paths,
-    keep_edited,
     kept_apart,
     places_free,
     results_in,
+    sealed,
     usable_folder,
+    whole_run,
     write_png,
     write_whole,
 )
@@ -142,7 +143,7 @@ def write_scene(folder: Path, plan: Plan) -> list[Path]:
         finally:
             part.unlink(missing_ok=True)
         written.append(folder / name)
-    return [*written, write_whole(folder / SCENE_NAME, files.text.encode())]
+    return [*written, write_whole(folder / SCENE_NAME, sealed(files.text))]
 
 
 def write_report(folder: Path, report: Report) -> Path:
@@ -184,7 +185,14 @@ def render_into(
         note(f"depth of field: points of the objects become discs up to {widest:.1f} px wide")
     tell(f"rendering with {engine.name}")
     made = render(engine, plan, colour)
-    written = [write_png(folder / PICTURES[0], made.layer), write_png(folder / PICTURES[1], made.composite)]
+    try:
+        pictures = zip(PICTURES, (made.layer, made.composite), strict=True)
+        written = [write_png(folder / name, picture) for name, picture in pictures]
+    except BaseException:
+        # One without the other would be no render.
+        for name in PICTURES:
+            (folder / name).unlink(missing_ok=True)
+        raise
     return RenderReport(made.engine, PICTURES, made.check, plan.staging.sun), written
 
 
@@ -196,7 +204,7 @@ def run_render(
 ) -> RenderOutcome:
     """The outcome of rendering an alignment anew.
 
-    Until the picture is there, nothing in the folder changes; a failed render leaves the new scene without
+    Nothing in the folder changes until all that is new is there. A failed render leaves the new scene without
     pictures, so that no folder shows one scene's text beside another's picture.
 
     Raises:
@@ -220,35 +228,17 @@ def run_render(
             )
         saved = with_photo(saved, path, photo.sha256)
     plan = make_plan(job.wish, scene, saved.alignment, colour, path)
-    folder.mkdir(parents=True, exist_ok=True)
-    keep_edited(folder, note)
-    try:
-        made, written = render_into(folder, plan, colour, job.wish, job.engine, tell, progress, note)
-    except RenderError as error:
-        for name in PICTURES:
-            (folder / name).unlink(missing_ok=True)
-        return _finished(folder, plan, saved, None, [], error)
-    except BaseException:
-        # Cancelled: a folder that was made for this render alone goes too.
-        with suppress(OSError):
-            folder.rmdir()
-        raise
-    return _finished(folder, plan, saved, made, written, None)
-
-
-def _finished(
-    folder: Path,
-    plan: Plan,
-    saved: SavedAlignment,
-    made: RenderReport | None,
-    written: list[Path],
-    error: RenderError | None,
-) -> RenderOutcome:
-    """The scene and the report beside the pictures."""
-    report = saved.report | {"render": None if made is None else render_report(made)}
-    written = [*write_scene(folder, plan), *written]
-    written.append(write_report(folder, report))
-    return RenderOutcome(report, tuple(written), error)
+    same = folder.is_dir() and folder.samefile(job.alignment.parent)
+    made, failure = None, None
+    with whole_run(folder, note, staying=(OVERLAY_NAME,) if same else ()) as place:
+        pictures: list[Path] = []
+        try:
+            made, pictures = render_into(place, plan, colour, job.wish, job.engine, tell, progress, note)
+        except RenderError as error:
+            failure = error
+        report = saved.report | {"render": None if made is None else render_report(made)}
+        written = [*write_scene(place, plan), *pictures, write_report(place, report)]
+    return RenderOutcome(report, tuple(folder / path.name for path in written), failure)
 
 
 def _photo_of(job: RenderJob, saved: SavedAlignment) -> tuple[Path, Photo]:

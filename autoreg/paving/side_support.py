@@ -191,9 +191,12 @@ def support_beside(
     profiles = sample_profiles(
         picture, lattice.camera, lattice.cam_from_ground, stations, 8.0, along_samples=along
     )
-    width = np.array(lattice.strip.width)[stations.family] * profiles.px_per_unit
+    # Beside a side at the picture's rim places may lie behind the camera, or beyond the lens's field.
+    seen = np.isfinite(profiles.px_per_unit)
+    scale = np.where(seen, profiles.px_per_unit, 0.0)
+    width = np.array(lattice.strip.width)[stations.family] * scale
     # Between close joints the window must not reach the neighbours.
-    room = 0.5 * across[stations.side] * profiles.px_per_unit
+    room = 0.5 * across[stations.side] * scale
     support = strip_support(
         profiles,
         np.minimum(width, 6.0),
@@ -202,5 +205,7 @@ def support_beside(
         np.clip(room, 3.0, 8.0),
         np.array(lattice.strip.polarity)[stations.family],
         paired=paired,
-    )
-    return support.reshape(repeat, n), half * profiles.px_per_unit[:n], profiles.centre_px[:n]
+    ).reshape(repeat, n)
+    # What is not seen is no evidence for the side: it counts as a place that looks like it.
+    support = np.where(seen.reshape(repeat, n), support, support[0])
+    return support, half * scale[:n], profiles.centre_px[:n]
