@@ -57,7 +57,8 @@ def program() -> None:
 
         for name in UNASKED:
             # NumPy imports them itself when they are imported by name.
-            vars(np).setdefault(name, _Unasked(f"numpy.{name}"))
+            if name not in vars(np):
+                setattr(np, name, _Unasked(f"numpy.{name}"))
         from autoreg.command.cli import main
     except KeyboardInterrupt:
         # Before the command has begun there is nothing to end or to tell.

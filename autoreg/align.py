@@ -152,8 +152,8 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
     scale, scale_source = metric_scale(fit, task.slab, task.camera_height, laid.longer)
     frame = canonical_frame(fit, settled.presence, laid.crossing)
     pose = frame.pose(fit.cam_from_ground)
-    covariance = frame.covariance(strained * last.covariance, fit.cam_from_ground)
-    covariance = scaled_covariance(covariance, pose, scale, height_held=scale_source == "camera_height")
+    covariance = frame.covariance(strained * last.spread, fit.cam_from_ground)
+    covariance = scaled_covariance(covariance, pose, fit.grid, scale, scale_source)
     focal, focal_sigma = (check.focal_px, strained**0.5 * check.focal_sigma_px) if told else (None, None)
     if squared is not None:
         focal, focal_sigma = fit.camera.fx, fit.camera.fx * squared.sigma_log_focal

@@ -63,7 +63,7 @@ class Photo:
 
     def colour(self) -> UInt8[np.ndarray, "h w 3"]:
         """The picture in colour (BGR), decoded anew from the bytes of the file that were read."""
-        picture = _decoded(self._data, cv2.IMREAD_COLOR)
+        picture = _decoded(_tiff_unturned(self._data), cv2.IMREAD_COLOR)
         if picture is None:
             raise InputError(f"the photo's colours cannot be decoded; save it as {_FORMATS}")
         return _oriented(picture, self.mirrored, self.turned)
@@ -99,8 +99,7 @@ def load_photo(path: str | Path) -> Photo:
     if truncated(data):
         raise InputError(f"photo {path} is truncated or corrupt; copy it again from the camera")
     exif = read_exif(data)
-    data = _tiff_unturned(data)
-    stored = _decode_gray(path, data)
+    stored = _decode_gray(path, _tiff_unturned(data))
     height, width = stored.shape
     if min(width, height) < MIN_SIDE_PX:
         raise InputError(

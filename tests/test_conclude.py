@@ -91,6 +91,23 @@ def test_the_frame_is_the_same_whichever_equivalent_the_fit_was_told_in(
 
 
 @pytest.mark.parametrize("name", ["stack", "half"])
+def test_the_frame_knows_how_its_origin_moves_with_the_lattice(name: str, request: pytest.FixtureRequest):
+    fit: Fit = request.getfixturevalue(f"{name}_fit")
+    photo: SyntheticPhoto = request.getfixturevalue(f"{name}_photo")
+    a, b = (fit.grid.spacing_x or 0.0), fit.grid.spacing_y
+    far = replace(fit, cam_from_ground=with_origin(fit.cam_from_ground, (5 + 8 * fit.grid.shift) * a, 8 * b))
+    presence = seen_from(presence_in(photo, fit), fit, far.cam_from_ground)
+    frame = canonical_frame(far, presence, None)
+    little = 1e-5
+    longer = Grid(a * np.exp(0.5 * little), b * np.exp(-0.5 * little), fit.grid.shift)
+    shifted = Grid(a, b, fit.grid.shift + little)
+    for grid, by in ((longer, frame.by_ratio), (shifted, frame.by_shift)):
+        moved = canonical_frame(replace(far, grid=grid), presence, None)
+        assert moved.origin - frame.origin == pytest.approx(little * by, abs=1e-8)
+    assert np.linalg.norm(frame.by_ratio) > 0.5
+
+
+@pytest.mark.parametrize("name", ["stack", "half"])
 def test_y_points_away_from_the_camera_and_the_origin_is_in_the_picture(
     name: str, request: pytest.FixtureRequest
 ):
@@ -238,10 +255,12 @@ def test_a_height_that_is_given_is_known_and_the_rest_moves_with_it():
     rng = np.random.default_rng(3)
     half = 0.002 * rng.normal(size=(6, 6))
     C = half @ half.T
+    spread = np.zeros((8, 8))
+    spread[:6, :6] = C
     R = rotation_from_vector(np.array([2.2, 0.3, 0.1]))
     pose = Rigid(R, R @ np.array([0.4, 0.3, -1.7]))
     scale = 1.55 / float(pose.origin_in_a[2])
-    held = scaled_covariance(C, pose, scale, height_held=True)
+    held = scaled_covariance(spread, pose, Grid(0.6, 0.4), scale, "camera_height")
     assert Pose(Rigid(R, scale * pose.t), held).sigma_height == pytest.approx(0.0, abs=1e-9)
     # As many small motions say.
     moved: list[np.ndarray] = []
@@ -249,7 +268,7 @@ def test_a_height_that_is_given_is_known_and_the_rest_moves_with_it():
         near = Rigid(rotation_from_vector(motion[:3]) @ R, pose.t + motion[3:])
         moved.append(1.55 / float(near.origin_in_a[2]) * near.t - scale * pose.t)
     assert np.sqrt(np.diag(np.cov(np.array(moved).T))) == pytest.approx(np.sqrt(np.diag(held)[3:]), rel=0.06)
-    plain = scaled_covariance(C, pose, 2.0, height_held=False)
+    plain = scaled_covariance(spread, pose, Grid(0.6, 0.4), 2.0, "slab")
     assert plain[3:, 3:] == pytest.approx(4.0 * C[3:, 3:])
 
 

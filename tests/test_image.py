@@ -1,3 +1,4 @@
+import hashlib
 import io
 import math
 import os
@@ -131,9 +132,13 @@ def test_a_tiff_of_either_byte_order_obeys_its_orientation_once(photo_of, order)
     for tag, value in entries:
         directory += struct.pack(mark + "HHIHH", tag, 3, 1, value, 0)
     directory += struct.pack(mark + "HHII", 279, 4, 1, pixels.size) + bytes(4)
-    photo = photo_of(head + pixels.tobytes() + directory)
+    content = head + pixels.tobytes() + directory
+    photo = photo_of(content)
     np.testing.assert_array_equal(photo.gray, np.rot90(pixels, -1))
+    np.testing.assert_array_equal(photo.colour()[..., 0], np.rot90(pixels, -1))
     assert photo.turned == 1
+    # By what is on the disk the photo is known again.
+    assert photo.sha256 == hashlib.sha256(content).hexdigest()
 
 
 @pytest.mark.parametrize("name", ["pflaster größe 石.jpg", "with space.jpg", "-rf.jpg", "no_ending"])

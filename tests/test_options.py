@@ -43,8 +43,14 @@ def test_what_is_no_crop_is_an_input_error(text):
         parse_crop(text)
 
 
-@pytest.mark.parametrize("value", [0.0, -1.5, float("nan"), float("inf"), 1e-6, 1e-300, 1e300])
-def test_a_height_is_one_that_a_camera_may_have(value):
+@pytest.mark.parametrize("text", ["0", "-1.5", "1e-6", "1e-300", "1e300"])
+def test_a_height_is_one_that_a_camera_may_have(text):
     with pytest.raises(InputError, match=r"--camera-height wants metres .* 0\.01 to 10000, .*got .* metres"):
-        parse_height(value)
-    assert parse_height(1.55) == 1.55
+        parse_height(text)
+
+
+@pytest.mark.parametrize("text", ["", "nan", "inf", "1.5m", "1,5", "1_5"])
+def test_a_height_is_a_number(text):
+    with pytest.raises(InputError, match=r"--camera-height wants metres .* 1\.55 for 155 cm; got"):
+        parse_height(text)
+    assert parse_height(" 1.55") == 1.55

@@ -379,7 +379,7 @@ def test_the_covariance_is_that_of_the_errors(scene: SyntheticScene) -> None:
         found = on_grey_levels(photo_of(drawn, seed), places.fit, places.covariance, REACH)
         assert found is not None
         error = error_of(drawn, found.fit.cam_from_ground)
-        normalised.append(error @ np.linalg.solve(found.plain, error))
+        normalised.append(error @ np.linalg.solve(found.plain[:6, :6], error))
         # The turn and the height: along the ground all joints may be off together.
         told = np.zeros((4, 6))
         told[:3, :3], told[3, 3:] = np.eye(3), drawn.cam_from_ground.R[:, 2]
@@ -396,7 +396,7 @@ def test_along_the_ground_a_place_is_no_surer_than_that_joints_may_be_off_togeth
     found = on_grey_levels(photo_of(PLAIN, 0), places.fit, places.covariance, REACH)
     assert found is not None
     along = PLAIN.cam_from_ground.R[:, :2].T @ found.covariance[3:, 3:] @ PLAIN.cam_from_ground.R[:, :2]
-    plain = PLAIN.cam_from_ground.R[:, :2].T @ found.plain[3:, 3:] @ PLAIN.cam_from_ground.R[:, :2]
+    plain = PLAIN.cam_from_ground.R[:, :2].T @ found.plain[3:6, 3:6] @ PLAIN.cam_from_ground.R[:, :2]
     off_m = 0.01 * PLAIN.joint_width_m
     # Both shapes of it, to one side and by how the joints are seen, at a point that is not the picture's.
     assert (np.diag(along) > np.diag(plain) + off_m**2 * 0.9).all()
@@ -610,7 +610,7 @@ def test_the_motion_that_is_told_leads_from_the_fit_to_the_answer() -> None:
     before, after = settled.fit.cam_from_ground, drawn.fit.cam_from_ground
     turn = vector_from_rotation(after.R @ before.R.T)
     assert drawn.away[:3] == pytest.approx(turn, rel=1e-3)
-    assert drawn.away[3:] == pytest.approx(after.t - before.t, rel=1e-9)
+    assert drawn.away[3:6] == pytest.approx(after.t - before.t, rel=1e-9)
 
 
 def test_flat_joints_have_halves_alike() -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autoreg.answer.conclude import Frame
+from autoreg.answer.conclude import Frame, scaled_covariance
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
@@ -236,24 +237,46 @@ def test_knowledge_of_a_parameter_is_kept_where_it_is_tighter_than_the_photo() -
 
 @given(
     st.lists(st.floats(-3, 3), min_size=3, max_size=3),
-    st.lists(st.floats(-5, 5), min_size=2, max_size=2),
+    st.tuples(st.integers(-12, 12), st.integers(-12, 12)),
     st.integers(0, 3),
+    st.sampled_from(["slab", "camera_height", "none"]),
     st.integers(0, 1000),
 )
-@settings(deadline=None, derandomize=True, max_examples=25)
-def test_a_moved_frame_carries_the_covariance_as_finite_motions_do(
-    vector: list[float], origin: list[float], turns: int, seed: int
+@settings(deadline=None, derandomize=True, max_examples=40)
+def test_the_answers_frame_and_scale_carry_the_covariance_as_finite_motions_do(
+    vector: list[float],
+    slabs: tuple[int, int],
+    turns: int,
+    source: Literal["slab", "camera_height", "none"],
+    seed: int,
 ) -> None:
     pose = Rigid(rotation_from_vector(np.array(vector)), np.array([0.3, -0.2, 4.0]))
-    frame = Frame(turns, np.array(origin))
-    L = np.random.default_rng(seed).normal(size=(6, 6))
+    grid, (i, j) = Grid(0.7, 0.45, 0.37), slabs
+
+    def answer(motion: np.ndarray) -> tuple[Rigid, Rigid, Grid, Frame]:
+        """The pose as it is reported, when so many slabs lie between its crossing and that of the fit."""
+        a, b, shift = 0.7 * np.exp(0.5 * motion[6]), 0.45 * np.exp(-0.5 * motion[6]), 0.37 + motion[7]
+        now = Rigid(rotation_from_vector(motion[:3]) @ pose.R, pose.t + motion[3:6])
+        origin = np.array([(i + j * shift) * a, j * b])
+        frame = Frame(turns, origin, 0.5 * origin * [1.0, -1.0], np.array([j * a, 0.0]))
+        moved = frame.pose(now)
+        height = float(moved.origin_in_a[2])
+        scale = {"slab": 1.3, "camera_height": 1.6 / height, "none": 2.0 / (a + b)}[source]
+        return Rigid(moved.R, scale * moved.t), moved, Grid(a, b, shift), frame
+
+    there, moved, _, frame = answer(np.zeros(8))
+    scale = float(np.linalg.norm(there.t) / np.linalg.norm(moved.t)) * (
+        1.0 if there.t @ moved.t > 0 else -1.0
+    )
+    L = np.random.default_rng(seed).normal(size=(8, 8))
     small, columns = 1e-6, []
-    for w, dt in small * np.eye(6).reshape(6, 2, 3):
-        moved = frame.pose(Rigid(rotation_from_vector(w) @ pose.R, pose.t + dt))
-        turn = vector_from_rotation(moved.R @ frame.pose(pose).R.T)
-        columns.append(np.r_[turn, moved.t - frame.pose(pose).t] / small)
+    for motion in small * np.eye(8):
+        one, other = (answer(sign * motion)[0] for sign in (1.0, -1.0))
+        columns.append(np.r_[vector_from_rotation(one.R @ other.R.T), one.t - other.t] / (2.0 * small))
     A = np.stack(columns, 1)
-    np.testing.assert_allclose(frame.covariance(L @ L.T, pose), A @ L @ L.T @ A.T, rtol=1e-3, atol=1e-3)
+    told = scaled_covariance(frame.covariance(L @ L.T, pose), moved, grid, scale, source)
+    expected = A @ L @ L.T @ A.T
+    np.testing.assert_allclose(told, expected, rtol=1e-3, atol=1e-5 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("jitter_m", [0.0, 0.002])

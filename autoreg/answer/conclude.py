@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -33,10 +33,16 @@ SAME_SIDE, TOLD_SIDE = 0.01, 0.25
 
 @dataclass(frozen=True)
 class Frame:
-    """A choice among the lattice's equivalent frames: quarter turns about a crossing."""
+    """A choice among the lattice's equivalent frames: quarter turns about a crossing.
+
+    `by_ratio` and `by_shift` are how far a unit of the logarithm of the sides' ratio, and of a running bond's
+    shift, moves that crossing on the ground.
+    """
 
     quarter_turns: int
     origin: Float[np.ndarray, "2"]
+    by_ratio: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
+    by_shift: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
 
     def grid(self, grid: Grid) -> Grid:
         """The lattice in this frame."""
@@ -49,11 +55,16 @@ class Frame:
         turn = self.rotation
         return Rigid(pose.R @ turn, pose.t + pose.R[:, :2] @ self.origin)
 
-    def covariance(self, covariance: Float[np.ndarray, "6 6"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
-        """Covariance of the moved pose: the new origin swings with the rotation about the old one."""
+    def covariance(self, covariance: Float[np.ndarray, "8 8"], pose: Rigid) -> Float[np.ndarray, "8 8"]:
+        """Covariance of the moved pose, and of the sides' ratio and the shift, which stay.
+
+        The new origin swings with the rotation about the old one. As many slabs as it lies off the old one,
+        so much the farther does it move where their sides become longer.
+        """
         x, y, z = pose.R[:, :2] @ self.origin
-        A = np.eye(6)
-        A[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        A = np.eye(8)
+        A[3:6, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        A[3:6, 6:] = pose.R[:, :2] @ np.stack([self.by_ratio, self.by_shift], 1)
         return A @ covariance @ A.T
 
     @property
@@ -79,6 +90,7 @@ def canonical_frame(fit: Fit, presence: Presence, crossing: Float[np.ndarray, "2
     y_axes = {0: (0.0, 1.0), 1: (-1.0, 0.0), 2: (0.0, -1.0), 3: (1.0, 0.0)}
     turns = max(free, key=lambda q: round(float(np.dot(ahead, y_axes[q])), 9))
     if crossing is not None:
+        # It was seen where it is.
         return Frame(turns, crossing)
     here = presence.sides.ends[presence.there].reshape(-1, 2)
     px = project_ground(fit.camera, fit.cam_from_ground, here).mean(0)
@@ -89,8 +101,10 @@ def canonical_frame(fit: Fit, presence: Presence, crossing: Float[np.ndarray, "2
     j = round(float(middle[1] / b))
     # Row 0 of a frame turned by half lies on the other side of the origin's unbroken joint.
     row = j - 1 if turns == 2 else j
-    x = middle[0] if a is None else (round(float(middle[0] / a - row * shift)) + row * shift) * a
-    return Frame(turns, np.array([float(x), j * b]))
+    if a is None:
+        return Frame(turns, np.array([float(middle[0]), j * b]))
+    origin = np.array([(round(float(middle[0] / a - row * shift)) + row * shift) * a, j * b])
+    return Frame(turns, origin, 0.5 * origin * [1.0, -1.0], np.array([row * a, 0.0]))
 
 
 def lattice_kind(grid: Grid) -> LatticeKind:
@@ -198,16 +212,25 @@ def metric_scale(
 
 
 def scaled_covariance(
-    covariance: Float[np.ndarray, "6 6"], pose: Rigid, scale: float, *, height_held: bool
+    covariance: Float[np.ndarray, "8 8"],
+    pose: Rigid,
+    grid: Grid,
+    scale: float,
+    source: Literal["slab", "camera_height", "none"],
 ) -> Float[np.ndarray, "6 6"]:
-    """Covariance of a pose whose translation is scaled, by a given number or so that the height is known.
+    """Covariance of a pose whose translation is scaled, as `metric_scale` says.
 
-    Where the height is held, the scale itself turns and moves with the pose.
+    Where the height is held, the scale itself turns and moves with the pose; where the mean of the sides is
+    one, it changes with their ratio.
     """
-    A = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
-    if height_held:
+    A = np.zeros((6, 8))
+    A[:, :6] = np.diag([1.0, 1.0, 1.0, scale, scale, scale])
+    if source == "camera_height":
         # The translation is scale t with scale = known / height.
-        A[3:] -= scale * np.outer(pose.t, height_by_motion(pose)) / float(pose.origin_in_a[2])
+        A[3:, :6] -= scale * np.outer(pose.t, height_by_motion(pose)) / float(pose.origin_in_a[2])
+    a, b = grid.spacing_x, grid.spacing_y
+    if source == "none" and a is not None:
+        A[3:, 6] = -0.5 * (a - b) / (a + b) * scale * pose.t
     return A @ covariance @ A.T
 
 

@@ -86,10 +86,10 @@ def rested(
     # what all joints may be off by together, which only the places' covariance allows for, hardly turns them.
     turn = np.s_[:3, :3]
     if np.linalg.slogdet(exact.plain[turn])[1] > np.linalg.slogdet(settled.covariance[turn])[1]:
-        return replace(settled, covariance=settled.covariance + exact.doubted)
-    covariance = exact.covariance
+        return replace(settled, spread=settled.spread + exact.doubted)
+    spread = exact.spread
     if most > LOPSIDED or settled.scatter.relief > 0:
         # In noise, where joints are narrower than the blur, and where they are filled nearly to the top, flat
         # ones cannot be told from sunk ones.
-        covariance = covariance + settled.covariance + np.outer(exact.away, exact.away)
-    return replace(settled, fit=exact.fit, covariance=covariance)
+        spread = spread + settled.spread + np.outer(exact.away, exact.away)
+    return replace(settled, fit=exact.fit, spread=spread)

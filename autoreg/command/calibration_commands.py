@@ -41,7 +41,8 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
     @app.command()
     def calibrate(  # pyright: ignore[reportUnusedFunction]
         photos: Annotated[
-            list[str], typer.Argument(help="Photos of the board: files, folders, 'boards/*.jpg'.")
+            list[str],
+            typer.Argument(metavar="PHOTOS", help="Photos of the board: files, folders, 'boards/*.jpg'."),
         ],
         pattern: Annotated[
             str, typer.Option(metavar="CxR", help="Inner corners along a row x column: 9x6; or auto.")
@@ -80,7 +81,9 @@ def add_calibration_commands(app: typer.Typer, exit_codes: ExitCodes) -> None:
     def inspect(  # pyright: ignore[reportUnusedFunction]
         camera: Annotated[
             Path,
-            typer.Argument(parser=path_named("CAMERA"), help="A camera file in any known format."),
+            typer.Argument(
+                parser=path_named("CAMERA"), metavar="CAMERA", help="A camera file in any known format."
+            ),
         ],
         photo: Annotated[
             Path | None,

@@ -56,7 +56,9 @@ def align_command(
     photo: Annotated[
         Path,
         typer.Argument(
-            parser=path_named("PHOTO"), help="The photo; put -- before a name that begins with -."
+            parser=path_named("PHOTO"),
+            metavar="PHOTO",
+            help="The photo; put -- before a name that begins with -.",
         ),
     ],
     camera: Annotated[
@@ -75,7 +77,7 @@ def align_command(
         typer.Option(metavar="AxB", help="Sides of a slab in metres, from joint to joint: 0.6x0.4."),
     ] = None,
     camera_height: Annotated[
-        float | None, typer.Option(metavar="METRES", help="Camera's height above the ground.")
+        str | None, typer.Option(metavar="METRES", help="Camera's height above the ground: 1.55.")
     ] = None,
     output: _FolderOption = None,
     render: Annotated[
@@ -126,7 +128,11 @@ def align_command(
 def render_command(
     alignment: Annotated[
         Path,
-        typer.Argument(parser=path_named("ALIGNMENT"), help="The alignment.json of an aligned photo."),
+        typer.Argument(
+            parser=path_named("ALIGNMENT"),
+            metavar="ALIGNMENT",
+            help="The alignment.json of an aligned photo.",
+        ),
     ],
     scene: SceneOption = None,
     demo_object: DemoOption = False,
@@ -176,7 +182,10 @@ def render_command(
 
 @app.command()
 def demo(output: _FolderOption = None) -> None:
-    """Align and render the picture that autoreg brings along; DIR is autoreg-demo by default."""
+    """Align and render the picture that autoreg brings along.
+
+    The results go to the folder autoreg-demo, unless -o names another one.
+    """
     with _exit_codes():
         from autoreg.jobs.job import demo_job
 

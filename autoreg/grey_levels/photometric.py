@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.special import chdtri
 
 from autoreg.fitting.design_effect import Asked, design_effects
@@ -88,26 +88,32 @@ ODD_SHIFT = Doubt((11,), (3e-5, 1e-4, 3e-4, 1e-3), 1e-6, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Photometric:
-    """A fit at the pose of the grey levels, its covariance on the camera's side, and what it rests on.
+    """A fit at the pose of the grey levels, how sure it is, and what it rests on.
 
-    `plain` is the covariance if joints look just as they are drawn, `doubted` what is added as they may not.
-    `away` is the motion on the camera's side from the fit that was given. `lopsided` is by how much the
-    joints' far and near halves differ at least and at most, as a share of their contrast.
+    `plain` is the covariance if joints look just as they are drawn, `doubted` what is added as they may not:
+    of the same as a `spread`, but for a bond's shift, which the measured joints tell, and the picture hardly
+    more. `away` is the motion from the fit that was given, of the same. `lopsided` is by how much the joints'
+    far and near halves differ at least and at most, as a share of their contrast.
     """
 
     fit: Fit
-    plain: Float[np.ndarray, "6 6"]
-    doubted: Float[np.ndarray, "6 6"]
-    away: Float[np.ndarray, "6"]
+    plain: Float[np.ndarray, "8 8"]
+    doubted: Float[np.ndarray, "8 8"]
+    away: Float[np.ndarray, "8"]
     lopsided: tuple[float, float]
     noise_grey: float
     design_effect: float
     pixels: int
 
     @property
+    def spread(self) -> Float[np.ndarray, "8 8"]:
+        """Covariance of the pose, the sides' ratio and the shift."""
+        return self.plain + self.doubted
+
+    @property
     def covariance(self) -> Float[np.ndarray, "6 6"]:
         """Covariance of the pose."""
-        return self.plain + self.doubted
+        return self.spread[:6, :6]
 
 
 def on_grey_levels(
@@ -196,9 +202,9 @@ def _judged(
     answer, effect = _averaged(last, together)
     if effect > MOST_DESIGN_EFFECT:
         return None
-    plain, doubted = answer.plain[:6, :6], answer.added[:6, :6]
-    away = _away(fit, state.shape)
-    if away @ np.linalg.solve(covariance + plain + doubted, away) > chdtri(6, CONTRADICTION):
+    plain, doubted = (_answered(each, last.normal.free) for each in (answer.plain, answer.added))
+    of_pose, whole = _away(fit, state.shape)[:6], covariance + (plain + doubted)[:6, :6]
+    if of_pose @ np.linalg.solve(whole, of_pose) > chdtri(6, CONTRADICTION):
         return None
     step = np.zeros(UNKNOWNS)
     step[last.normal.free] = answer.step[: len(last.normal.free)]
@@ -215,9 +221,19 @@ def _judged(
     return Photometric(moved, plain, doubted, _away(fit, shape), lopsided, state.noise, effect, len(pixels))
 
 
-def _away(fit: Fit, shape: Shape) -> Float[np.ndarray, "6"]:
-    """The motion on the camera's side from a fit's pose to that of a shape."""
-    return np.r_[_motion(fit, shape)[terms.ROTATION], shape.pose.t - fit.cam_from_ground.t]
+def _answered(covariance: Float[np.ndarray, "k k"], free: Int[np.ndarray, " k"]) -> Float[np.ndarray, "8 8"]:
+    """What is asked for of a covariance of the `free` unknowns: that of the pose, and of the sides' ratio."""
+    rows = np.flatnonzero(free <= terms.RATIO)
+    answered = np.zeros((len(terms.ANSWER), len(terms.ANSWER)))
+    answered[np.ix_(free[rows], free[rows])] = covariance[np.ix_(rows, rows)]
+    return answered
+
+
+def _away(fit: Fit, shape: Shape) -> Float[np.ndarray, "8"]:
+    """The motion from a fit to a shape, of what its covariance is of."""
+    motion = _motion(fit, shape)
+    moved = shape.pose.t - fit.cam_from_ground.t
+    return np.r_[motion[terms.ROTATION], moved, motion[terms.RATIO], motion[terms.SHIFT]]
 
 
 def _lopsided(last: Step, answer: Averaged) -> tuple[float, float]:

@@ -23,7 +23,10 @@ def parse_slab(text: str) -> tuple[float, float]:
     sides = [_number(part) for part in parts]
     good = [side for side in sides if side is not None and side > 0]
     if len(good) != len(sides) or len(sides) not in (1, 2):
-        raise InputError(f"--slab wants metres, such as 0.6x0.4, or 0.5 for a square slab; got {text!r}")
+        raise InputError(
+            "--slab wants metres, such as 0.6x0.4 for 60 cm by 40 cm, or 0.5 for a square slab of 50 cm; "
+            f"got {text!r}"
+        )
     for side in good:
         if not SIDES_M[0] <= side <= SIDES_M[1]:
             raise InputError(
@@ -92,12 +95,17 @@ def parse_timeout(value: float) -> float:
     return value
 
 
-def parse_height(value: float) -> float:
-    """The camera's height in metres.
+def parse_height(text: str) -> float:
+    """The camera's height in metres of "1.55".
 
     Raises:
         InputError: it is no number, or no camera stands so high.
     """
+    value = _number(text)
+    if value is None:
+        raise InputError(
+            f"--camera-height wants metres above the ground, such as 1.55 for 155 cm; got {text!r}"
+        )
     if not HEIGHTS_M[0] <= value <= HEIGHTS_M[1]:
         raise InputError(
             f"--camera-height wants metres above the ground, {HEIGHTS_M[0]:g} to {HEIGHTS_M[1]:g}, such as "

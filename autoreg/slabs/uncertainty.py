@@ -14,7 +14,7 @@ from autoreg.geometry import Rigid
 from autoreg.slabs.measured_joints import widths_told
 from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
 from autoreg.solve.freedom import log_stretch
-from autoreg.solve.joint_data import PARAMETERS, RATIO
+from autoreg.solve.joint_data import ANSWER, PARAMETERS, RATIO
 from autoreg.solve.solver import solve_joints
 
 # Where the camera is solved for, the likeliest pose may be so far from the fit that the Jacobian there is
@@ -31,18 +31,27 @@ CONFIRMED = 0.25
 class Settled:
     """A fit at the pose that the mixed model makes likeliest.
 
-    `covariance` is of (rotation vector, translation) of a small motion on the camera's side. `relieved` is
-    how far on the ground joints were moved since they are no flat ones (RMS). `narrowing` is by what share of
-    their width joints look narrower at a slope of one than from above, as sunk ones do. `ratio_sigma` is the
-    standard deviation of the logarithm of the sides' ratio.
+    `spread` is the covariance of (rotation vector, translation) of a small motion on the camera's side, of
+    the logarithm of the sides' ratio, and of a running bond's shift. `relieved` is how far on the ground
+    joints were moved since they are no flat ones (RMS). `narrowing` is by what share of their width joints
+    look narrower at a slope of one than from above, as sunk ones do.
     """
 
     fit: Fit
-    covariance: Float[np.ndarray, "6 6"]
+    spread: Float[np.ndarray, "8 8"]
     scatter: Scatter
     relieved: float = 0.0
     narrowing: float = 0.0
-    ratio_sigma: float = 0.0
+
+    @property
+    def covariance(self) -> Float[np.ndarray, "6 6"]:
+        """Covariance of the pose."""
+        return self.spread[:6, :6]
+
+    @property
+    def ratio_sigma(self) -> float:
+        """Standard deviation of the logarithm of the sides' ratio."""
+        return float(np.sqrt(self.spread[RATIO, RATIO]))
 
 
 def settle(fit: Fit, *, widths: bool = True) -> Settled:
@@ -63,10 +72,9 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
             break
         fit = there
         estimate, moved = _likeliest(fit, widths)
-    covariance = on_camera_side(estimate.covariance, moved.cam_from_ground)
+    spread = on_camera_side(estimate.covariance, moved.cam_from_ground)
     by_relief = (fit.moves_px(estimate.by_relief) / fit.profiles.px_per_unit)[fit.usable]
-    ratio_sigma = float(np.sqrt(estimate.covariance[RATIO, RATIO]))
-    return Settled(moved, covariance, estimate.scatter, _rms(by_relief), ratio_sigma=ratio_sigma)
+    return Settled(moved, spread, estimate.scatter, _rms(by_relief))
 
 
 def _likeliest(fit: Fit, widths: bool) -> tuple[Estimate, Fit]:
@@ -139,11 +147,11 @@ def _rms(values: Float[np.ndarray, " n"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def on_camera_side(covariance: Float[np.ndarray, "p p"], pose: Rigid) -> Float[np.ndarray, "6 6"]:
-    """The pose's part, where the solve's rotation turns the translation as well: t = exp(w) t0 + dt."""
-    A = np.eye(6)
-    A[3:, :3] = -_cross(pose.t)
-    C = A @ covariance[:6, :6] @ A.T
+def on_camera_side(covariance: Float[np.ndarray, "m m"], pose: Rigid) -> Float[np.ndarray, "8 8"]:
+    """The part that is asked for, with the pose's translation turned as well: exp(w) t0 + dt."""
+    A = np.eye(len(ANSWER))
+    A[3:6, :3] = -_cross(pose.t)
+    C = A @ covariance[np.ix_(ANSWER, ANSWER)] @ A.T
     return 0.5 * (C + C.T)
 
 

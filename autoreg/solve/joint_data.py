@@ -16,6 +16,8 @@ FOCAL, CENTRE_X, CENTRE_Y, RADIAL, ASPECT, SECOND_RADIAL, TANGENTIAL_X, TANGENTI
 # A motion has them, and behind them the change of a running bond's shift, which no solve makes.
 SHIFT = PARAMETERS
 MOTION = PARAMETERS + 1
+# What the answer's frame depends on: a small motion of the pose, the sides' ratio, and the shift.
+ANSWER = (*range(6), RATIO, SHIFT)
 CENTRE, TANGENTIAL = slice(CENTRE_X, CENTRE_Y + 1), slice(TANGENTIAL_X, TANGENTIAL_Y + 1)
 
 
