@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import chi2
 
+from autoreg.align import align
 from autoreg.answer.conclude import Frame, scaled_covariance
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import refine_until_still
 from autoreg.geometry import Rigid, rotation_from_vector, vector_from_rotation
+from autoreg.ground.ground_frame import quarter_turns
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.image import as_gray
@@ -277,6 +280,24 @@ def test_the_answers_frame_and_scale_carry_the_covariance_as_finite_motions_do(
     told = scaled_covariance(frame.covariance(L @ L.T, pose), moved, grid, scale, source)
     expected = A @ L @ L.T @ A.T
     np.testing.assert_allclose(told, expected, rtol=1e-3, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_pose_without_camera_and_slab_is_within_what_it_states() -> None:
+    # All that is told is a height: the sides' ratio is open, and the crossing that is reported slabs away.
+    camera = Camera(1200, 900, 960.0, 957.0, 585.0, 470.0, (0.02, 0.0, 0.0, 0.0, 0.0))
+    true = look_at_ground(pitch_deg=30.0, height_m=1.6, heading_deg=32.0, roll_deg=1.0, foot_m=(0.13, 0.21))
+    scene = SyntheticScene(camera, true, spacing_m=(0.6, 0.4), joint_width_m=0.012, jitter_m=0.0015, seed=3)
+    found = align(render_paving(scene).pixels, None, camera_height=1.6).pose
+    pose = found.cam_from_ground
+    turns = [vector_from_rotation(pose.R @ (true.R @ quarter_turns(k)).T) for k in range(4)]
+    turn = min(turns, key=lambda each: float(np.linalg.norm(each)))
+    slabs = true.R[:, :2] * scene.spacing_m
+    whole = np.round(np.linalg.lstsq(slabs, pose.t - true.t, rcond=None)[0])
+    error = np.r_[turn, pose.t - true.t - slabs @ whole]
+    # But for the height, which is known.
+    size, axes = np.linalg.eigh(found.covariance)
+    assert size[0] < 1e-6 * size[1]
+    assert np.sum((axes.T @ error)[1:] ** 2 / size[1:]) < chi2.ppf(0.999, 5)
 
 
 @pytest.mark.parametrize("jitter_m", [0.0, 0.002])
