@@ -178,7 +178,10 @@ def upright(fit: Fit) -> tuple[str, ...]:
     R = fit.cam_from_ground.R
     if not like_upright_wall(R):
         return ()
-    return (f"{_said_upright(R)}: look at overlay.png, and photograph the ground if it is a wall",)
+    return (
+        f"{_said_upright(R)}: look at overlay.png; turn the photo, and its camera with it, if it does not "
+        "stand upright, and photograph the ground if this is a wall",
+    )
 
 
 def _said_upright(R: Float[np.ndarray, "3 3"]) -> str:
