@@ -115,7 +115,7 @@ def aslant(roll_deg: float) -> Rigid:
     return look_at_ground(pitch_deg=22.0, height_m=1.6, heading_deg=27.0, roll_deg=roll_deg)
 
 
-@pytest.mark.parametrize("roll_deg", [0.3, 4.5])
+@pytest.mark.parametrize("roll_deg", [0.3, pytest.param(4.5, marks=pytest.mark.slow)])
 def test_the_floor_before_a_tiled_wall_that_faces_aside_is_found_where_the_wall_is_plainer(roll_deg: float):
     pose = aslant(roll_deg)
     photo = wall_beyond(tiles(0.3, 25.0), tiles(0.2, 90.0), pose, 2.6)
