@@ -14,6 +14,7 @@ from autoreg.lattice import Lattice
 
 # Where a camera came from.
 CameraSource = Literal["file", "exif", "photo"]
+ScaleSource = Literal["slab", "camera_height", "none"]
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class Alignment:
     height: int
     camera: CameraReport
     pose: Pose
-    scale_source: Literal["slab", "camera_height", "none"]
+    scale_source: ScaleSource
     lattice: Lattice
     residual: Residual
     joints: tuple[JointFit, ...]

@@ -8,11 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 
+def cross_matrix(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The matrix whose product with a vector is the cross product of v with it."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
 def rotation_from_vector(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Rotation matrix of a rotation vector in radians (Rodrigues' formula)."""
     angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    skew = cross_matrix(vector)
     # sin(a)/a and (1 - cos a)/a^2 by numpy's sinc, which is exact at zero.
     return np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * skew @ skew
 

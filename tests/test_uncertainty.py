@@ -256,26 +256,22 @@ def test_the_answers_frame_and_scale_carry_the_covariance_as_finite_motions_do(
     pose = Rigid(rotation_from_vector(np.array(vector)), np.array([0.3, -0.2, 4.0]))
     grid, (i, j) = Grid(0.7, 0.45, 0.37), slabs
 
-    def answer(motion: np.ndarray) -> tuple[Rigid, Rigid, Grid, Frame]:
-        """The pose as it is reported, when so many slabs lie between its crossing and that of the fit."""
+    def answer(motion: np.ndarray) -> tuple[Frame, Rigid, float]:
+        """The frame, the pose in it, and the scale, so many slabs away from the crossing of the fit."""
         a, b, shift = 0.7 * np.exp(0.5 * motion[6]), 0.45 * np.exp(-0.5 * motion[6]), 0.37 + motion[7]
         now = Rigid(rotation_from_vector(motion[:3]) @ pose.R, pose.t + motion[3:6])
-        origin = np.array([(i + j * shift) * a, j * b])
-        frame = Frame(turns, origin, 0.5 * origin * [1.0, -1.0], np.array([j * a, 0.0]))
+        frame = Frame(turns, np.array([(i + j * shift) * a, j * b]), j * a)
         moved = frame.pose(now)
         height = float(moved.origin_in_a[2])
-        scale = {"slab": 1.3, "camera_height": 1.6 / height, "none": 2.0 / (a + b)}[source]
-        return Rigid(moved.R, scale * moved.t), moved, Grid(a, b, shift), frame
+        return frame, moved, {"slab": 1.3, "camera_height": 1.6 / height, "none": 2.0 / (a + b)}[source]
 
-    there, moved, _, frame = answer(np.zeros(8))
-    scale = float(np.linalg.norm(there.t) / np.linalg.norm(moved.t)) * (
-        1.0 if there.t @ moved.t > 0 else -1.0
-    )
+    frame, moved, scale = answer(np.zeros(8))
     L = np.random.default_rng(seed).normal(size=(8, 8))
     small, columns = 1e-6, []
     for motion in small * np.eye(8):
-        one, other = (answer(sign * motion)[0] for sign in (1.0, -1.0))
-        columns.append(np.r_[vector_from_rotation(one.R @ other.R.T), one.t - other.t] / (2.0 * small))
+        (_, one, more), (_, other, less) = answer(motion), answer(-motion)
+        turn, step = vector_from_rotation(one.R @ other.R.T), more * one.t - less * other.t
+        columns.append(np.r_[turn, step] / (2.0 * small))
     A = np.stack(columns, 1)
     told = scaled_covariance(frame.covariance(L @ L.T, pose), moved, grid, scale, source)
     expected = A @ L @ L.T @ A.T

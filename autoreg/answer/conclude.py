@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from autoreg.alignment import CameraSource, JointFit, Pose, Residual, height_by_motion
+from autoreg.alignment import CameraSource, JointFit, Pose, Residual, ScaleSource, height_by_motion
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
-from autoreg.geometry import Rigid
+from autoreg.geometry import Rigid, cross_matrix
 from autoreg.ground.ground_frame import quarter_turns
 from autoreg.ground.points import project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
@@ -35,14 +35,17 @@ SAME_SIDE, TOLD_SIDE = 0.01, 0.25
 class Frame:
     """A choice among the lattice's equivalent frames: quarter turns about a crossing.
 
-    `by_ratio` and `by_shift` are how far a unit of the logarithm of the sides' ratio, and of a running bond's
-    shift, moves that crossing on the ground.
+    `by_shift` is how far a unit of a running bond's shift moves that crossing along the unbroken joints.
     """
 
     quarter_turns: int
     origin: Float[np.ndarray, "2"]
-    by_ratio: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
-    by_shift: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
+    by_shift: float = 0.0
+
+    @property
+    def by_ratio(self) -> Float[np.ndarray, "2"]:
+        """How far a unit of the logarithm of the sides' ratio moves the crossing, whole slabs away."""
+        return 0.5 * self.origin * [1.0, -1.0]
 
     def grid(self, grid: Grid) -> Grid:
         """The lattice in this frame."""
@@ -59,12 +62,11 @@ class Frame:
         """Covariance of the moved pose, and of the sides' ratio and the shift, which stay.
 
         The new origin swings with the rotation about the old one. As many slabs as it lies off the old one,
-        so much the farther does it move where their sides become longer.
+        so much the farther does it move where their sides become longer. Of rows no ratio is solved for.
         """
-        x, y, z = pose.R[:, :2] @ self.origin
         A = np.eye(8)
-        A[3:6, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        A[3:6, 6:] = pose.R[:, :2] @ np.stack([self.by_ratio, self.by_shift], 1)
+        A[3:6, :3] = -cross_matrix(pose.R[:, :2] @ self.origin)
+        A[3:6, 6], A[3:6, 7] = pose.R[:, :2] @ self.by_ratio, pose.R[:, 0] * self.by_shift
         return A @ covariance @ A.T
 
     @property
@@ -90,7 +92,6 @@ def canonical_frame(fit: Fit, presence: Presence, crossing: Float[np.ndarray, "2
     y_axes = {0: (0.0, 1.0), 1: (-1.0, 0.0), 2: (0.0, -1.0), 3: (1.0, 0.0)}
     turns = max(free, key=lambda q: round(float(np.dot(ahead, y_axes[q])), 9))
     if crossing is not None:
-        # It was seen where it is.
         return Frame(turns, crossing)
     here = presence.sides.ends[presence.there].reshape(-1, 2)
     px = project_ground(fit.camera, fit.cam_from_ground, here).mean(0)
@@ -104,7 +105,7 @@ def canonical_frame(fit: Fit, presence: Presence, crossing: Float[np.ndarray, "2
     if a is None:
         return Frame(turns, np.array([float(middle[0]), j * b]))
     origin = np.array([(round(float(middle[0] / a - row * shift)) + row * shift) * a, j * b])
-    return Frame(turns, origin, 0.5 * origin * [1.0, -1.0], np.array([row * a, 0.0]))
+    return Frame(turns, origin, row * a)
 
 
 def lattice_kind(grid: Grid) -> LatticeKind:
@@ -189,7 +190,7 @@ def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
 
 def metric_scale(
     fit: Fit, slab: tuple[float, float] | None, camera_height: float | None, longer: bool | None = None
-) -> tuple[float, Literal["slab", "camera_height", "none"]]:
+) -> tuple[float, ScaleSource]:
     """Metres per unit of the fit, and where it comes from.
 
     Args:
@@ -216,7 +217,7 @@ def scaled_covariance(
     pose: Rigid,
     grid: Grid,
     scale: float,
-    source: Literal["slab", "camera_height", "none"],
+    source: ScaleSource,
 ) -> Float[np.ndarray, "6 6"]:
     """Covariance of a pose whose translation is scaled, as `metric_scale` says.
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.refine import joint_data, plausible
-from autoreg.geometry import Rigid
+from autoreg.geometry import Rigid, cross_matrix
 from autoreg.slabs.measured_joints import widths_told
 from autoreg.slabs.slab_model import BOW, Estimate, Scatter, estimate_motion
 from autoreg.solve.freedom import log_stretch
@@ -150,11 +150,6 @@ def _rms(values: Float[np.ndarray, " n"]) -> float:
 def on_camera_side(covariance: Float[np.ndarray, "m m"], pose: Rigid) -> Float[np.ndarray, "8 8"]:
     """The part that is asked for, with the pose's translation turned as well: exp(w) t0 + dt."""
     A = np.eye(len(ANSWER))
-    A[3:6, :3] = -_cross(pose.t)
+    A[3:6, :3] = -cross_matrix(pose.t)
     C = A @ covariance[np.ix_(ANSWER, ANSWER)] @ A.T
     return 0.5 * (C + C.T)
-
-
-def _cross(v: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
