@@ -17,6 +17,7 @@ from autoreg.image import as_gray
 from autoreg.paving.lattice_evidence import Paving
 from autoreg.paving.plane_combs import Hypothesis
 from autoreg.search.find import find_paving, find_rows
+from autoreg.search.glance import upright_by
 from autoreg.search.hypotheses import THOROUGHLY, hypothesised, hypothesised_thoroughly
 from autoreg.segments import Detection, Segments
 from autoreg.synthetic import SyntheticPhoto, look_at_ground, render_paving
@@ -172,3 +173,13 @@ def test_boards_are_told_from_their_grain_by_the_strength_of_their_joints(headin
 def test_the_ends_of_boards_are_no_rows():
     pose = look_at_ground(pitch_deg=34.0, height_m=1.6, heading_deg=20.0)
     assert find_rows(see(photographed(boards(9.0, seed=9), pose)), boarded.CAMERA) is None
+
+
+@pytest.mark.parametrize(("turned", "told"), [(0, None), (1, 3), (2, 2), (3, 1)])
+def test_a_photo_taken_steeply_is_told_the_one_turn_that_makes_it_stand_upright(
+    turned: int, told: int | None
+):
+    steep = look_at_ground(pitch_deg=55.0, height_m=1.5, heading_deg=20.0)
+    photo = render_paving(replace(STACK, cam_from_ground=steep))
+    sight = see(as_gray(np.ascontiguousarray(np.rot90(photo.pixels, -turned))))
+    assert upright_by(sight, photo.camera.turned(turned)) == told

@@ -15,8 +15,10 @@ from autoreg.slabs import slab_effects
 from autoreg.slabs.measured_joints import measured_joints, widths_told, without_washed_out
 from autoreg.slabs.uncertainty import Settled, settle
 
-# Slabs whose places scatter by more than this, as seen across a joint of median size, need not be tried.
-UNEVEN_PX = 0.03
+# Slabs whose places scatter by more than this, as seen across a joint of median size, need not be tried. In
+# noise even ones seem to by half of it, one photo in some hundreds by 0.04; the grey levels themselves tell
+# whether slabs are even.
+UNEVEN_PX = 0.06
 # Joints that look narrower by more than this share of their width at a slope of one are sunk. Prints may seem
 # so by up to 0.06.
 SUNK = 0.1

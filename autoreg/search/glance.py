@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from autoreg.answer.camera_refusals import camera_contradicted
 from autoreg.camera import Camera
@@ -54,7 +55,8 @@ def other_camera(
 def upright_by(sight: Sight, camera: Camera | None) -> int | None:
     """By how many quarter turns clockwise a photo shows a lattice on the ground that is plain to see, if so.
 
-    For a photo that shows none as it is: it may stand on its side, or be of a wall.
+    For a photo that shows none as it is: it may stand on its side, or be of a wall. Ground whose upward side
+    is not that of the turned photo would be as good, or as bad, without the turn.
     """
     small = sight.looks.picture
     height, width = small.shape
@@ -65,6 +67,12 @@ def upright_by(sight: Sight, camera: Camera | None) -> int | None:
         segments = turned.segments if own is None else turned.detection.coarse
         free, hypotheses = hypothesised(segments, turned.size, own)
         found = at_a_glance(turned.looks, segments, hypotheses, free)
-        if found is not None and found.plain:
+        if found is not None and found.plain and _upright(found.fit.cam_from_ground.R):
             return quarters
     return None
+
+
+def _upright(R: Float[np.ndarray, "3 3"]) -> bool:
+    """Whether the ground's upward direction is nearer to the picture's own than to any of its other sides."""
+    right, down, _ = R[:, 2]
+    return bool(-down > abs(right))
