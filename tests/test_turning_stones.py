@@ -104,9 +104,10 @@ def among(own: Segments, others: Segments) -> Segments:
 def test_what_turns_around_straight_slabs_is_something_else(fit: Fit):
     segments, field = sides_turned(fit, ALONG_X, 0.0)
     assert straight(directions(segments, fit, field))
-    askew, _ = sides_turned(fit, ALONG_X, 60.0)
+    askew, _ = sides_turned(fit, ALONG_X, 56.0)
     middle = field.mean(0)
-    inner = middle + (field - middle) / 1.8
+    # Four of the eight columns, so that two turn on either side.
+    inner = middle + (field - middle) / [2.6, 1.2]
     outside = ~inside_box(on_ground(askew.ends_px, fit.camera, fit.cam_from_ground).mean(1), inner, 0.0)
     # Slabs amid stones that turn, as a board before what lies behind it.
     kept = inside_box(on_ground(segments.ends_px, fit.camera, fit.cam_from_ground).mean(1), inner, 0.0)
