@@ -183,3 +183,13 @@ def test_a_photo_taken_steeply_is_told_the_one_turn_that_makes_it_stand_upright(
     photo = render_paving(replace(STACK, cam_from_ground=steep))
     sight = see(as_gray(np.ascontiguousarray(np.rot90(photo.pixels, -turned))))
     assert upright_by(sight, photo.camera.turned(turned)) == told
+
+
+def test_a_lattice_that_is_hardly_better_than_chance_gives_way_to_a_clear_one():
+    # A third of a slab from course to course suits 0.31 on few courses, and is met on a worse ground first.
+    odd = next(axis for axis in robust.AXES if axis.name == "odd bond")
+    photo = robust.take(odd, 0.31, 5, (1024, 768))
+    found = find_paving(see(photo.gray), photo.told, photo.scene.spacing_m)
+    assert isinstance(found, Paving)
+    assert found.grid.shift == pytest.approx(0.31, abs=0.002)
+    assert found.plain

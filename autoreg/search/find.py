@@ -36,6 +36,8 @@ from autoreg.solve.freedom import Free
 
 # Strong lines lead to a lattice by the first start on a ground or these after it, if they do at all.
 FEW_STARTS = 2
+# A lattice with less than this is hardly better than chance: what more grounds show may be far better.
+HARDLY_NATS = 10.0
 # Fewer segments than this do not tell that all run in one direction.
 FEWEST_SEGMENTS = 20
 
@@ -78,7 +80,7 @@ def find_paving(
     if camera is None and not is_plain(best) and is_plain(glance):
         best = glance
     if is_there(best):
-        return _unrivalled(best)
+        return _unrivalled(search.clearer(best, camera) if thorough and camera is not None else best)
     fields = fields_of_rows(sight.looks, search.segments, sight.size, planes)
     if thorough and (camera is None or not plain_alone(fields)):
         # By grounds that are at hand: to find others takes longer.
@@ -163,6 +165,13 @@ class _Search:
             closer.append(lambda: hypothesised_along_grain(self.segments, camera, walls=self.walls))
         tried = (self._promising(self.looks, hypotheses(), MOST_STARTS)[0] for hypotheses in closer)
         return next((laid for laid in tried if _is_ground(laid)), ())
+
+    def clearer(self, best: tuple[Paving, ...], camera: Camera) -> tuple[Paving, ...]:
+        """What a closer look at the segments shows, if clearer than a lattice hardly better than chance."""
+        if best[0].margin_nats > HARDLY_NATS:
+            return best
+        others = self.further(camera, along_grain=False)
+        return others if others and others[0].margin_nats > best[0].margin_nats else best
 
     def _promising(
         self, looks: Looks, hypotheses: list[Hypothesis], most_starts: int
