@@ -21,7 +21,15 @@ from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
 from autoreg.rows.rows import Rows
 from autoreg.search.glance import at_a_glance
 from autoreg.search.hypotheses import hypothesised, hypothesised_along_grain, hypothesised_thoroughly
-from autoreg.search.planes import MOST_PLANES, by_other_focals, is_plain, is_there, lay_planes, lay_promising
+from autoreg.search.planes import (
+    MOST_PLANES,
+    better,
+    by_other_focals,
+    is_plain,
+    is_there,
+    lay_planes,
+    lay_promising,
+)
 from autoreg.search.rows_on_planes import (
     by_cross_joints,
     clearest_alone,
@@ -170,8 +178,7 @@ class _Search:
         """What a closer look at the segments shows, if clearer than a lattice hardly better than chance."""
         if best[0].margin_nats > HARDLY_NATS:
             return best
-        others = self.further(camera, along_grain=False)
-        return others if others and others[0].margin_nats > best[0].margin_nats else best
+        return better(best, self.further(camera, along_grain=False))
 
     def _promising(
         self, looks: Looks, hypotheses: list[Hypothesis], most_starts: int

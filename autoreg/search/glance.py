@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
 from autoreg.answer.camera_refusals import camera_contradicted
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.sight import Looks, Sight, see
+from autoreg.ground.upright import roll_deg
 from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving, has_ratio
 from autoreg.paving.lay import lay_combs
 from autoreg.paving.plane_combs import Hypothesis, promising_plane
@@ -18,6 +18,8 @@ from autoreg.solve.freedom import Free
 
 # Logarithm by which the joints' own focal length differs from a given one, at least, that is to blame.
 SAME_FOCAL = 0.03
+# Beyond this another quarter turn makes a photo stand upright.
+MOST_ROLL_DEG = 45.0
 
 
 def at_a_glance(looks: Looks, segments: Segments, hypotheses: list[Hypothesis], free: Free) -> Paving | None:
@@ -67,12 +69,6 @@ def upright_by(sight: Sight, camera: Camera | None) -> int | None:
         segments = turned.segments if own is None else turned.detection.coarse
         free, hypotheses = hypothesised(segments, turned.size, own)
         found = at_a_glance(turned.looks, segments, hypotheses, free)
-        if found is not None and found.plain and _upright(found.fit.cam_from_ground.R):
+        if found is not None and found.plain and roll_deg(found.fit.cam_from_ground.R) < MOST_ROLL_DEG:
             return quarters
     return None
-
-
-def _upright(R: Float[np.ndarray, "3 3"]) -> bool:
-    """Whether the ground's upward direction is nearer to the picture's own than to any of its other sides."""
-    right, down, _ = R[:, 2]
-    return bool(-down > abs(right))

@@ -51,7 +51,7 @@ def lay_planes(
     if not planes:
         return best, []
     (first,) = sharpened(looks, segments, planes[:1], free_focal=free_focal)
-    best = _better(best, lay(first))
+    best = better(best, lay(first))
     if _is_sure(best):
         return best, [first]
     clear = bool(best) and best[0].margin_nats > CLEAR_NATS
@@ -89,11 +89,11 @@ def _laid_on(
     for plane in planes:
         if _is_sure(best):
             break
-        best = _better(best, lay(plane))
+        best = better(best, lay(plane))
     return best
 
 
-def _better(best: tuple[Paving, ...], others: tuple[Paving, ...]) -> tuple[Paving, ...]:
+def better(best: tuple[Paving, ...], others: tuple[Paving, ...]) -> tuple[Paving, ...]:
     """Those lattices of the two whose first explains the picture better."""
     return max(best, others, key=lambda pavings: pavings[0].margin_nats if pavings else -np.inf)
 

@@ -112,9 +112,7 @@ def examine(case: Case, seeds: int) -> Found:
     errors: list[np.ndarray] = []
     off_px: list[float] = []
     for seed in range(seeds):
-        rng = np.random.default_rng([11, seed])
-        photo = np.clip(np.round(clean + case.noise_grey * rng.standard_normal(clean.shape)), 0, 255)
-        found = _finished(photo.astype(np.float32), scene, nudged(true, TURN_DEG, MOVE, rng))
+        found = fitted(case, clean, seed)
         if found is not None:
             errors.append(pose_error(found, true))
             off_px.append(crossings_error_px(found, scene, ground))
@@ -131,8 +129,12 @@ def examine(case: Case, seeds: int) -> Found:
     )
 
 
-def _finished(photo: np.ndarray, scene: SyntheticScene, start: Rigid) -> Rigid | None:
-    done = finish(photo, scene.camera, start, grid_of(scene))
+def fitted(case: Case, clean: Float[np.ndarray, "h w"], seed: int) -> Rigid | None:
+    """The pose found in one draw of a case's noise over its `clean` picture; None if the fit is lost."""
+    rng, scene = np.random.default_rng([11, seed]), case.scene
+    photo = np.clip(np.round(clean + case.noise_grey * rng.standard_normal(clean.shape)), 0, 255)
+    start = nudged(scene.cam_from_ground, TURN_DEG, MOVE, rng)
+    done = finish(photo.astype(np.float32), scene.camera, start, grid_of(scene))
     return None if done is None else done.cam_from_ground
 
 
