@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from paved import STACK, fit_of
 
-from autoreg.answer.pattern_refusals import ARC_SIGMAS, MOST_ARC_DEG, arcs
+from autoreg.answer.pattern_refusals import ARC_SIGMAS, MOST_ARC_DEG, MOST_BENT_DEG, arcs
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.rows.arcs import FEWEST_STATIONS, Arc, common_arc
+from autoreg.rows.cross_joints import Lean
 from autoreg.synthetic import render_paving
 
 
@@ -58,3 +59,17 @@ def test_too_few_stations_or_an_unsure_turn_tell_no_arc(fit: Fit):
     turn = 2.0 * np.radians(MOST_ARC_DEG)
     assert arcs(Arc(turn, turn / (ARC_SIGMAS - 1.0))) is None
     assert arcs(Arc(turn, turn / (ARC_SIGMAS + 1.0))) is not None
+
+
+def test_a_bow_whose_cross_joints_do_not_turn_along_is_that_of_the_ground_or_the_lens():
+    bow = np.radians(0.5 * (MOST_ARC_DEG + MOST_BENT_DEG))
+    arc = Arc(bow, 0.01 * bow)
+    still = Lean(0.05 * bow, 0.05 * bow)
+    assert arcs(arc, still) is None
+    assert arcs(arc, None) is not None
+    # As the stones of arcs do, to whichever side; or it is not known whether they do.
+    assert arcs(arc, Lean(0.9 * bow, 0.05 * bow)) is not None
+    assert arcs(arc, Lean(-0.9 * bow, 0.05 * bow)) is not None
+    assert arcs(arc, Lean(0.05 * bow, 0.5 * bow)) is not None
+    wide = Arc(1.1 * np.radians(MOST_BENT_DEG), 0.01 * bow)
+    assert arcs(wide, still) is not None

@@ -25,6 +25,7 @@ from autoreg.rows.turning_stones import (
     common_turn,
     directions,
     straight,
+    turn_across,
     turn_of_rows,
     turned_alike,
 )
@@ -85,6 +86,18 @@ def test_stones_turn_from_third_to_third_by_most_of_what_they_do_from_end_to_end
         assert np.degrees(turn.angle) == pytest.approx(5 / 7 * turn_deg, rel=0.05)
     if refusal is not None:
         assert "turn by" in refusal.message
+
+
+@pytest.mark.parametrize("along", [ALONG_X, ALONG_Y])
+def test_joints_across_a_family_turn_by_themselves(fit: Fit, along: int):
+    segments, field = sides_turned(fit, along, 6.0, families=(along,))
+    straight_across = turn_across(segments, fit, field, along)
+    assert straight_across is not None
+    assert straight_across.angle == pytest.approx(0.0, abs=1e-3)
+    segments, field = sides_turned(fit, along, 6.0, families=(1 - along,))
+    turned = turn_across(segments, fit, field, along)
+    assert turned is not None
+    assert np.degrees(abs(turned.angle)) == pytest.approx(5 / 7 * 6.0, rel=0.05)
 
 
 def test_stones_that_turn_around_a_small_field_count_where_that_is_asked_for(fit: Fit):

@@ -50,6 +50,7 @@ from autoreg.rows.turning_stones import (
     common_turn,
     directions,
     straight,
+    turn_across,
     turn_of_rows,
     turned_alike,
 )
@@ -100,7 +101,7 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
     change = change_of_lean(sight.segments, fit, field)
     ruled = straight(directions(sight.segments, fit, field)[:1])
     turn = None if ruled else turn_of_rows(sight.segments, fit, field)
-    bowed = arcs(common_arc(fit)) or fanned(change) or turning(turn)
+    bowed = _bowed(sight.segments, fit, field) or fanned(change) or turning(turn)
     if bowed is not None:
         raise bowed
     squared = None
@@ -127,7 +128,8 @@ def measured_slabs(
     start = found if slab is None else of_slab_shape(small, found, slab, free)
     fit = from_what_shows(_measure(picture, start, free))
     fit = on_slabs_level(fit) if sight.toned else fit
-    bowed = _bowed(fit) or _turned(sight.segments, fit, found.presence.field)
+    field = found.presence.field
+    bowed = _bowed(sight.segments, fit, field) or _turned(sight.segments, fit, field)
     if bowed is not None:
         raise bowed
     small = _with_lines(small, fit)
@@ -157,10 +159,14 @@ def from_what_shows(fit: Fit) -> Fit:
     return beside_lit_sides(from_near_rims(fit))
 
 
-def _bowed(fit: Fit) -> Refusal | None:
-    """The refusal of a lattice whose unbroken joints are arcs; None if they may be straight."""
-    unbroken = (ALONG_X,) if fit.grid.shift else (ALONG_X, ALONG_Y)
-    return next((bowed for family in unbroken if (bowed := arcs(common_arc(fit, family)))), None)
+def _bowed(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
+    """The refusal of a lattice, or of rows, whose unbroken joints are arcs; None if they may be straight."""
+    one_way = fit.grid.shift or fit.grid.spacing_x is None
+    for family in (ALONG_X,) if one_way else (ALONG_X, ALONG_Y):
+        bowed = arcs(common_arc(fit, family), turn_across(segments, fit, field, family))
+        if bowed is not None:
+            return bowed
+    return None
 
 
 def _turned(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:

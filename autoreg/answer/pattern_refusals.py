@@ -33,6 +33,10 @@ MOST_OFF_DEG, OFF_SIGMAS = 1.0, 5.0
 LEAST_ZIGZAG_DEG, SLANT_SCATTER, LEAST_RARER, MOST_ALONG_ZIGZAG = 10.0, 0.2, 0.2, 0.05
 # Straight joints turn alike by less than this from end to end: by up to three through an untold lens.
 MOST_ARC_DEG, ARC_SIGMAS = 3.5, 4.0
+# Up to this, joints bow in straight paving too, where the ground is bent or the lens is another one: then
+# those across them do not turn along, as they do between the stones of arcs, but surely by a smaller
+# share than this.
+MOST_BENT_DEG, TURNS_ALONG, ALONG_SIGMAS = 8.0, 0.5, 2.0
 # Of the edges along a lattice's joints so many lie inside its slabs, over the share of those that lie
 # anywhere, where the slabs are cells of a pattern: 1.0 and more in herringbone, 0.3 at the most in real ones.
 MOST_INNER = 0.5
@@ -114,8 +118,15 @@ def off_lattice(turn: Lean | None) -> PatternRefusal | None:
     )
 
 
-def arcs(arc: Arc | None) -> PatternRefusal | None:
-    """The refusal of unbroken joints that bow alike; None if they may be straight."""
+def arcs(arc: Arc | None, across: Lean | None = None) -> PatternRefusal | None:
+    """The refusal of unbroken joints that bow alike; None if they may be straight.
+
+    Nor if those `across` them, which turn by so much from end to end of the arcs, do not turn with them.
+    """
+    if arc is not None and across is not None and abs(np.degrees(arc.turn)) < MOST_BENT_DEG:
+        most = abs(across.angle) + ALONG_SIGMAS * across.sigma
+        if most < TURNS_ALONG * abs(arc.turn):
+            return None
     return _curved(
         None if arc is None else Lean(arc.turn, arc.sigma),
         MOST_ARC_DEG,

@@ -56,6 +56,19 @@ def common_turn(
     return max(alike, key=lambda turn: abs(turn.angle), default=None)
 
 
+def turn_across(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], family: int) -> Lean | None:
+    """By how much the joints across those of a family turn, from one third of a field to the opposite one.
+
+    Along that family; None where too few joints are seen. The fit is at the photo's own resolution.
+    """
+    ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
+    off, middle = _off(ground, fit, field, 1 - family)
+    if len(off) < 3 * FEWEST_SEGMENTS:
+        return None
+    (first, last), sigma = _ends(off, middle[:, family])
+    return Lean(last - first, sigma)
+
+
 @dataclass(frozen=True)
 class Directions:
     """How the joints of one family run: off the lattice's direction in the median, and how they scatter.
@@ -154,15 +167,20 @@ def _turn(
     off, middle = _off(ground, fit, field, family, margin=margin, longest=longest)
     if len(off) < 3 * FEWEST_SEGMENTS:
         return None
-    place = middle[:, axis]
-    low, high = np.quantile(place, [1 / 3, 2 / 3])
-    ends = [off[place <= low], off[place >= high]]
-    first, last = (float(np.median(end)) for end in ends)
+    (first, last), sigma = _ends(off, middle[:, axis])
     change = last - first
     if np.mean(np.abs(off - 0.5 * (first + last)) <= 0.25 * abs(change)) < LEAST_BETWEEN:
         return None
+    return Lean(change, sigma)
+
+
+def _ends(off: Float[np.ndarray, " m"], place: Float[np.ndarray, " m"]) -> tuple[tuple[float, float], float]:
+    """Median directions of the first and the last third of segments, and the sigma of their difference."""
+    low, high = np.quantile(place, [1 / 3, 2 / 3])
+    ends = [off[place <= low], off[place >= high]]
+    first, last = (float(np.median(end)) for end in ends)
     sigmas = [MEDIAN_LOSS * spread(end) / np.sqrt(len(end)) for end in ends]
-    return Lean(change, float(np.hypot(*sigmas)))
+    return (first, last), float(np.hypot(*sigmas))
 
 
 def _off(

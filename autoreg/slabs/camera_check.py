@@ -42,6 +42,9 @@ SPARE_NUMBERS = 6
 # A photo whose middle lies this many focal lengths off the axis (60 degrees) is none that a lens draws: those
 # cropped from very wide ones come to 50 degrees. A free camera that bent joints drive there tells nothing.
 MOST_OFF_AXIS = 1.73
+# Paving falls to its gutters, and so is bent: by a few millimetres in a metre off the plane it draws lines as
+# a bent lens does whose axis is far off, at 0.5 to 1.7 focal lengths. One whose axis lies nearer is believed.
+MOST_OFF_BENT_AXIS = 0.4
 # Cameras are like each other whose focal length (its logarithm) and principal point (as a share of the
 # picture's width) differ by less.
 LIKE_FOCAL, LIKE_CENTRE = 0.2, 0.15
@@ -115,7 +118,7 @@ def check_camera(
         before, tried = both.scatter.aside, list[_Told]()
         usual = replace(fit, grid=replace(fit.grid, shift=customary))
         for freed in _fits_with_free_camera(usual, picture, field):
-            if _off_axis(freed) > MOST_OFF_AXIS:
+            if _off_axis(freed) > (MOST_OFF_BENT_AXIS if freed.free.radial else MOST_OFF_AXIS):
                 continue
             motion = estimate_motion(
                 freed, free.mask, free.prior(freed.camera, freed.grid), both.scatter, bow=BOW, widths=False
