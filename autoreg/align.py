@@ -11,6 +11,7 @@ from jaxtyping import UInt8
 from autoreg.alignment import Alignment, CameraReport, CameraSource, JointFit, Pose, Residual
 from autoreg.answer.camera_refusals import focal_implausible, focal_untold
 from autoreg.answer.conclude import (
+    bent,
     canonical_frame,
     describe_lattice,
     exif_not_followed,
@@ -32,6 +33,7 @@ from autoreg.ground.sight import Sight, see
 from autoreg.image import as_colour, as_gray
 from autoreg.laying_in_tone import OWN_REASONS, lay_in_clearest_tone
 from autoreg.search.glance import upright_by
+from autoreg.slabs.bent_ground import bend_of
 from autoreg.slabs.camera_check import check_camera
 from autoreg.solve.solver import warm_up
 from autoreg.task import Task
@@ -152,7 +154,10 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
     scale, scale_source = metric_scale(fit, task.slab, task.camera_height, laid.longer)
     frame = canonical_frame(fit, settled.presence, laid.crossing)
     pose = frame.pose(fit.cam_from_ground)
-    covariance = frame.covariance(strained * last.spread, fit.cam_from_ground)
+    bend, spread = bend_of(fit), strained * last.spread
+    if bend is not None:
+        spread[:6, :6] += bend.spread
+    covariance = frame.covariance(spread, fit.cam_from_ground)
     covariance = scaled_covariance(covariance, pose, fit.grid, scale, scale_source)
     focal, focal_sigma = (check.focal_px, strained**0.5 * check.focal_sigma_px) if told else (None, None)
     if squared is not None:
@@ -180,6 +185,7 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
         warnings=(
             *unsure(answer, source, slab_told=task.slab is not None),
             *(() if unlike is None else (unlike.warning,)),
+            *(() if bend is None else (bent(bend, fit, scale, scale_source),)),
             *upright(fit),
         ),
     )

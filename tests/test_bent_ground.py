@@ -11,8 +11,10 @@ from jaxtyping import UInt8
 
 from autoreg.align import align
 from autoreg.camera import Camera
+from autoreg.fitting.fit import Fit
 from autoreg.ground.points import on_ground, project_ground
 from autoreg.image import as_gray
+from autoreg.slabs.bent_ground import _motions_to, bend_of
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 
 SLAB = (0.63, 0.475)
@@ -66,3 +68,43 @@ def test_a_wrong_camera_is_called_wrong_over_bent_ground():
     found = align(domed(scene(36.44, 35.0, 8)), wrong, slab=SLAB)
     assert found.camera.consistent is False
     assert found.camera.focal_from_photo_px == pytest.approx(CAMERA.fx, rel=0.01)
+
+
+def test_a_fit_over_bent_ground_tells_how_far_it_lies_off_its_plane_and_leans(stack_fit: Fit):
+    assert bend_of(stack_fit) is None
+    ground, up = stack_fit.stations.ground, stack_fit.cam_from_ground.R[:, 2]
+    away = ground - ground[stack_fit.usable].mean(0)
+    bend = np.array([[0.01, 0.002], [0.002, -0.004]])
+    height = np.einsum("ni,ij,nj->n", away, bend, away)
+    moved = stack_fit.solution.jacobian[:, 3:6] @ up * height
+    found = bend_of(replace(stack_fit, distances_px=stack_fit.distances_px - moved))
+    assert found is not None
+    slope = (2.0 * away @ bend)[stack_fit.usable]
+    assert found.lean == pytest.approx(np.sqrt((slope**2).sum(1).mean()), rel=0.02)
+    assert found.off == pytest.approx(np.quantile(np.abs(height[stack_fit.usable]), 0.95), rel=0.02)
+    # Turns that lay the plane on the ground are about its own axes: none of them is about up.
+    assert up @ found.spread[:3, :3] @ up == pytest.approx(0.0, abs=1e-12)
+    assert np.trace(found.spread[:3, :3]) == pytest.approx(found.lean**2)
+
+
+def test_motions_to_the_ground_of_a_place_lay_the_plane_on_it(stack_fit: Fit):
+    pose, place = stack_fit.cam_from_ground, np.array([[0.7, -1.2]])
+    height, slope = np.array([0.01]), np.array([[0.003, -0.002]])
+    turn, move = np.split((_motions_to(place, height, slope) @ np.kron(np.eye(2), pose.R.T))[0], 2)
+    for beside in np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]):
+        on_plane = pose.R @ np.r_[place[0] + beside, 0.0] + pose.t
+        laid = on_plane + np.cross(turn, on_plane - pose.t) + move
+        rise = pose.R.T @ (laid - on_plane)
+        assert rise[2] == pytest.approx(height[0] + slope[0] @ beside, abs=1e-9)
+
+
+def test_a_pose_over_bent_ground_is_no_surer_than_the_ground_is_even():
+    flat = scene(40.0, 30.0, 5)
+    photos = domed(flat), as_gray(render_paving(flat).pixels)
+    found, even = (align(photo, CAMERA, slab=SLAB) for photo in photos)
+    assert not any("bent" in warning for warning in even.warnings)
+    assert np.degrees(even.pose.sigma_turn) < 0.05
+    (warning,) = (warning for warning in found.warnings if "bent" in warning)
+    assert "mm" in warning
+    # From its middle to its rim the ground leans by twice the drop times the distance.
+    assert 0.1 < np.degrees(found.pose.sigma_turn) < 1.5

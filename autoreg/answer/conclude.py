@@ -19,6 +19,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.stations import joints_of
 from autoreg.lattice import Lattice, LatticeKind
 from autoreg.paving.presence import Presence
+from autoreg.slabs.bent_ground import Bend
 from autoreg.spread import spread_about
 
 # Stations that are off by less than this many standard deviations carried the fit.
@@ -186,6 +187,20 @@ def fitted_joints(fit: Fit, frame: Frame) -> tuple[JointFit, ...]:
         ends_px = project_ground(fit.camera, pose, ends)
         joints.append(JointFit(name, index, ends_px, float(np.sqrt(np.mean(off[rows] ** 2)))))
     return tuple(sorted(joints, key=lambda j: (j.family, j.index, float(j.ends_px[0, 0]))))
+
+
+def bent(bend: Bend, fit: Fit, scale: float, source: ScaleSource) -> str:
+    """The warning of ground that one plane does not lie on, as `metric_scale` tells the scale."""
+    height = float(fit.cam_from_ground.origin_in_a[2])
+    off = f"{100 * bend.off / height:.1f} % of the camera's height"
+    if source != "none":
+        off = f"{1e3 * scale * bend.off:.0f} mm"
+    return (
+        f"the ground is bent: it lies up to {off} off the plane that suits its joints best, and leans by "
+        f"{np.degrees(bend.lean):.1f}° (RMS) against it, as paving that falls to its gutters does, or as it "
+        "looks through a lens that the camera file leaves out; what stands far from the origin may seem to "
+        "float or to sink in"
+    )
 
 
 def metric_scale(
