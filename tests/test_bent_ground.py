@@ -108,3 +108,12 @@ def test_a_pose_over_bent_ground_is_no_surer_than_the_ground_is_even():
     assert "mm" in warning
     # From its middle to its rim the ground leans by twice the drop times the distance.
     assert 0.1 < np.degrees(found.pose.sigma_turn) < 1.5
+
+
+def test_a_camera_that_is_solved_for_lays_bent_ground_into_a_plane(stack_fit: Fit):
+    away = stack_fit.stations.ground - stack_fit.stations.ground.mean(0)
+    height = 0.01 * (away**2).sum(1)
+    moved = stack_fit.solution.jacobian[:, 3:6] @ stack_fit.cam_from_ground.R[:, 2] * height
+    fit = replace(stack_fit, distances_px=stack_fit.distances_px - moved)
+    assert bend_of(fit) is not None
+    assert bend_of(replace(fit, free=replace(fit.free, focal=True))) is None

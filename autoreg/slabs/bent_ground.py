@@ -67,7 +67,13 @@ class _Quadric:
 
 
 def bend_of(fit: Fit) -> Bend | None:
-    """The bend of the ground that a fit's joints show; None where they may lie in a plane."""
+    """The bend of the ground that a fit's joints show; None where they may lie in a plane.
+
+    Nor is there one where the camera is solved for: another camera lays bent ground into a plane, and
+    `settle` allows for that.
+    """
+    if fit.free.focal:
+        return None
     rows, free = np.flatnonzero(fit.usable), np.flatnonzero(fit.free.mask)
     stations, pose = fit.stations.take(rows), fit.cam_from_ground
     ground, jacobian = stations.ground, fit.solution.jacobian[rows]
