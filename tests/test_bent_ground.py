@@ -13,8 +13,9 @@ from autoreg.align import align
 from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.ground.points import on_ground, project_ground
+from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.image import as_gray
-from autoreg.slabs.bent_ground import _motions_to, bend_of
+from autoreg.slabs.bent_ground import motions_to, bend_of
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 
 SLAB = (0.63, 0.475)
@@ -87,10 +88,10 @@ def test_a_fit_over_bent_ground_tells_how_far_it_lies_off_its_plane_and_leans(st
     assert np.trace(found.spread[:3, :3]) == pytest.approx(found.lean**2)
 
 
-def test_motions_to_the_ground_of_a_place_lay_the_plane_on_it(stack_fit: Fit):
+def testmotions_to_the_ground_of_a_place_lay_the_plane_on_it(stack_fit: Fit):
     pose, place = stack_fit.cam_from_ground, np.array([[0.7, -1.2]])
     height, slope = np.array([0.01]), np.array([[0.003, -0.002]])
-    turn, move = np.split((_motions_to(place, height, slope) @ np.kron(np.eye(2), pose.R.T))[0], 2)
+    turn, move = np.split((motions_to(place, height, slope) @ np.kron(np.eye(2), pose.R.T))[0], 2)
     for beside in np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]):
         on_plane = pose.R @ np.r_[place[0] + beside, 0.0] + pose.t
         laid = on_plane + np.cross(turn, on_plane - pose.t) + move
@@ -117,3 +118,11 @@ def test_a_camera_that_is_solved_for_lays_bent_ground_into_a_plane(stack_fit: Fi
     fit = replace(stack_fit, distances_px=stack_fit.distances_px - moved)
     assert bend_of(fit) is not None
     assert bend_of(replace(fit, free=replace(fit.free, focal=True))) is None
+
+
+@pytest.mark.parametrize("family", [ALONG_X, ALONG_Y])
+def test_joints_of_one_direction_that_tell_no_bend_along_them_are_no_trouble(stack_fit: Fit, family: int):
+    one_way = replace(stack_fit, usable=stack_fit.usable & (stack_fit.stations.family == family))
+    assert bend_of(one_way) is None
+    few = one_way.usable & (stack_fit.stations.line == stack_fit.stations.line[one_way.usable][0])
+    assert bend_of(replace(stack_fit, usable=few)) is None

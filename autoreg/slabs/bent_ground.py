@@ -21,10 +21,12 @@ from autoreg.spread import spread_about
 # A bend that joints in a plane show more often than this by chance is none, nor is one by which the ground
 # leans less: of drawn planes the joints' relief imitates one by a hundredth of a degree or two.
 BY_CHANCE, LEAST_LEAN = 1e-4, np.radians(0.1)
-# Joints of fewer lines than this beyond the factors that they tell are too few.
-SPARE_LINES = 4
+# Factors of a quadratic function; joints of fewer lines than this beyond these tell no bend.
+FACTORS, SPARE_LINES = 3, 4
 # Rounds of reweighted least squares, and by how many standard deviations a station is off that counts half.
 ROUNDS, HALF_SIGMAS = 6, 2.4
+# What joints tell by less than this share of what they tell best they do not tell.
+SINGULAR = 1e-7
 # Most of the ground, as a share of the stations: a few far ones are farthest off.
 MOST_STATIONS = 0.95
 
@@ -72,21 +74,19 @@ def bend_of(fit: Fit) -> Bend | None:
     Nor is there one where the camera is solved for: another camera lays bent ground into a plane, and
     `settle` allows for that.
     """
-    if fit.free.focal:
-        return None
     rows, free = np.flatnonzero(fit.usable), np.flatnonzero(fit.free.mask)
     stations, pose = fit.stations.take(rows), fit.cam_from_ground
+    line, names = numbered(stations.family, stations.line)
+    spare = len(names) - FACTORS
+    if fit.free.focal or spare < SPARE_LINES:
+        return None
     ground, jacobian = stations.ground, fit.solution.jacobian[rows]
     quadric = _Quadric.over(ground)
     rise = (jacobian[:, TRANSLATION] @ pose.R[:, 2])[:, None] * quadric.shapes(ground)
-    line, names = numbered(stations.family, stations.line)
-    spare = len(names) - rise.shape[1]
-    if spare < SPARE_LINES:
-        return None
     told, covariance = _laid(np.column_stack([jacobian[:, free], rise]), fit.distances_px[rows], line)
     factors, of_factors = told[len(free) :], covariance[len(free) :, len(free) :]
-    surprise = float(factors @ np.linalg.solve(of_factors, factors)) / len(factors)
-    if fdtrc(len(factors), spare, surprise) > BY_CHANCE:
+    surprise = float(factors @ np.linalg.pinv(of_factors, SINGULAR, hermitian=True) @ factors) / FACTORS
+    if fdtrc(FACTORS, spare, surprise) > BY_CHANCE:
         return None
     motion = np.zeros(jacobian.shape[1])
     motion[free] = told[: len(free)]
@@ -99,12 +99,12 @@ def bend_of(fit: Fit) -> Bend | None:
     lean = float(np.sqrt(np.mean((slope**2).sum(1))))
     if lean < LEAST_LEAN:
         return None
-    motions = _motions_to(ground, height, slope) @ np.kron(np.eye(2), pose.R.T)
+    motions = motions_to(ground, height, slope) @ np.kron(np.eye(2), pose.R.T)
     off = float(np.quantile(np.abs(height), MOST_STATIONS))
     return Bend(motions.T @ motions / len(rows), off, lean)
 
 
-def _motions_to(
+def motions_to(
     ground: Float[np.ndarray, "n 2"], height: Float[np.ndarray, " n"], slope: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 6"]:
     """Turns and moves of the plane, along the ground's axes, that lay it on the ground at each place."""
@@ -128,10 +128,10 @@ def _laid(
     weight, told, left = np.ones(len(off)), np.zeros(len(unit)), off
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
-        told = np.linalg.lstsq(columns * root[:, None], -off * root, rcond=1e-9)[0]
+        told = np.linalg.lstsq(columns * root[:, None], -off * root, rcond=SINGULAR)[0]
         left = off + columns @ told
         weight = 1.0 / (1.0 + (left / (HALF_SIGMAS * spread_about(left) + 1e-12)) ** 2)
-    inverse = np.linalg.pinv((columns * weight[:, None]).T @ columns, hermitian=True)
+    inverse = np.linalg.pinv((columns * weight[:, None]).T @ columns, SINGULAR**2, hermitian=True)
     sums = np.zeros((int(line.max()) + 1, len(unit)))
     np.add.at(sums, line, columns * (weight * left)[:, None])
     covariance = inverse @ (sums.T @ sums) @ inverse * len(sums) / (len(sums) - 1)
