@@ -15,7 +15,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.ground.points import on_ground, project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.image import as_gray
-from autoreg.slabs.bent_ground import motions_to, bend_of
+from autoreg.slabs.bent_ground import bend_of, motions_to
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 
 SLAB = (0.63, 0.475)
