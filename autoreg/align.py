@@ -185,7 +185,8 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
         warnings=(
             *unsure(answer, source, slab_told=task.slab is not None),
             *(() if unlike is None else (unlike.warning,)),
-            *(() if bend is None else (bent(bend, fit, scale, scale_source),)),
+            # By a wrong camera any ground looks bent.
+            *(() if bend is None or consistent is False else (bent(bend, fit, scale, scale_source),)),
             *upright(fit),
         ),
     )
