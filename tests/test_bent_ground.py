@@ -89,7 +89,7 @@ def test_a_fit_over_bent_ground_tells_how_far_it_lies_off_its_plane_and_leans(st
     assert np.trace(found.spread[:3, :3]) == pytest.approx(found.lean**2)
 
 
-def testmotions_to_the_ground_of_a_place_lay_the_plane_on_it(stack_fit: Fit):
+def test_motions_to_the_ground_of_a_place_lay_the_plane_on_it(stack_fit: Fit):
     pose, place = stack_fit.cam_from_ground, np.array([[0.7, -1.2]])
     height, slope = np.array([0.01]), np.array([[0.003, -0.002]])
     turn, move = np.split((motions_to(place, height, slope) @ np.kron(np.eye(2), pose.R.T))[0], 2)

@@ -163,7 +163,9 @@ def _bowed(segments: Segments, fit: Fit, field: np.ndarray) -> Refusal | None:
     """The refusal of a lattice, or of rows, whose unbroken joints are arcs; None if they may be straight."""
     one_way = fit.grid.shift or fit.grid.spacing_x is None
     for family in (ALONG_X,) if one_way else (ALONG_X, ALONG_Y):
-        bowed = arcs(common_arc(fit, family), turn_across(segments, fit, field, family))
+        arc = common_arc(fit, family)
+        # What lies across is looked at only where that matters.
+        bowed = arcs(arc) and arcs(arc, turn_across(segments, fit, field, family))
         if bowed is not None:
             return bowed
     return None

@@ -8,6 +8,7 @@ straight. But a stone's joints turn with it, both alike, and those that were lef
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -63,10 +64,8 @@ def turn_across(segments: Segments, fit: Fit, field: Float[np.ndarray, "k 2"], f
     """
     ground = on_ground(segments.ends_px, fit.camera, fit.cam_from_ground)
     off, middle = _off(ground, fit, field, 1 - family)
-    if len(off) < 3 * FEWEST_SEGMENTS:
-        return None
-    (first, last), sigma = _ends(off, middle[:, family])
-    return Lean(last - first, sigma)
+    ends = _ends(off, middle[:, family])
+    return None if ends is None else ends.turn
 
 
 @dataclass(frozen=True)
@@ -165,22 +164,35 @@ def _turn(
     Of those that `_off` takes; None where they are too few, or where it does not turn but jumps.
     """
     off, middle = _off(ground, fit, field, family, margin=margin, longest=longest)
+    ends = _ends(off, middle[:, axis])
+    if ends is None:
+        return None
+    between = np.abs(off - 0.5 * (ends.first + ends.last)) <= 0.25 * abs(ends.turn.angle)
+    return None if np.mean(between) < LEAST_BETWEEN else ends.turn
+
+
+class _Ends(NamedTuple):
+    """Median directions of the first and the last third of segments, and the sigma of their difference."""
+
+    first: float
+    last: float
+    sigma: float
+
+    @property
+    def turn(self) -> Lean:
+        """From the first to the last."""
+        return Lean(self.last - self.first, self.sigma)
+
+
+def _ends(off: Float[np.ndarray, " m"], place: Float[np.ndarray, " m"]) -> _Ends | None:
+    """Directions of segments at the ends of their places; None where too few are seen."""
     if len(off) < 3 * FEWEST_SEGMENTS:
         return None
-    (first, last), sigma = _ends(off, middle[:, axis])
-    change = last - first
-    if np.mean(np.abs(off - 0.5 * (first + last)) <= 0.25 * abs(change)) < LEAST_BETWEEN:
-        return None
-    return Lean(change, sigma)
-
-
-def _ends(off: Float[np.ndarray, " m"], place: Float[np.ndarray, " m"]) -> tuple[tuple[float, float], float]:
-    """Median directions of the first and the last third of segments, and the sigma of their difference."""
     low, high = np.quantile(place, [1 / 3, 2 / 3])
     ends = [off[place <= low], off[place >= high]]
     first, last = (float(np.median(end)) for end in ends)
     sigmas = [MEDIAN_LOSS * spread(end) / np.sqrt(len(end)) for end in ends]
-    return (first, last), float(np.hypot(*sigmas))
+    return _Ends(first, last, float(np.hypot(*sigmas)))
 
 
 def _off(

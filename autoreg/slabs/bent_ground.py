@@ -13,9 +13,12 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import fdtrc
 
+from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.fit import Fit
 from autoreg.numbering import numbered
+from autoreg.slabs.quadric import Quadric
 from autoreg.solve.joint_data import ROTATION, TRANSLATION
+from autoreg.solve.solver import CAUCHY_SIGMAS
 from autoreg.spread import spread_about
 
 # A bend that joints in a plane show more often than this by chance is none, nor is one by which the ground
@@ -23,8 +26,8 @@ from autoreg.spread import spread_about
 BY_CHANCE, LEAST_LEAN = 1e-4, np.radians(0.1)
 # Factors of a quadratic function; joints of fewer lines than this beyond these tell no bend.
 FACTORS, SPARE_LINES = 3, 4
-# Rounds of reweighted least squares, and by how many standard deviations a station is off that counts half.
-ROUNDS, HALF_SIGMAS = 6, 2.4
+# Rounds of reweighted least squares.
+ROUNDS = 6
 # What joints tell by less than this share of what they tell best they do not tell.
 SINGULAR = 1e-7
 # Most of the ground, as a share of the stations: a few far ones are farthest off.
@@ -45,29 +48,6 @@ class Bend:
     lean: float
 
 
-@dataclass(frozen=True)
-class _Quadric:
-    """A function of the place on the ground, in `reach` from a `middle`: the factors of x^2, xy and y^2."""
-
-    middle: Float[np.ndarray, "2"]
-    reach: float
-
-    @classmethod
-    def over(cls, ground: Float[np.ndarray, "n 2"]) -> _Quadric:
-        low, high = ground.min(0), ground.max(0)
-        return cls(0.5 * (low + high), 0.5 * float(np.max(high - low)))
-
-    def shapes(self, ground: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-        """Its value for each factor of one."""
-        x, y = ((ground - self.middle) / self.reach).T
-        return np.stack([x * x, x * y, y * y], 1)
-
-    def slope(self, ground: Float[np.ndarray, "n 2"], factors: Float[np.ndarray, "3"]) -> np.ndarray:
-        """How steeply it rises along X and along Y."""
-        xx, xy, yy = factors
-        return (ground - self.middle) @ np.array([[2 * xx, xy], [xy, 2 * yy]]) / self.reach**2
-
-
 def bend_of(fit: Fit) -> Bend | None:
     """The bend of the ground that a fit's joints show; None where they may lie in a plane.
 
@@ -81,8 +61,8 @@ def bend_of(fit: Fit) -> Bend | None:
     if fit.free.focal or spare < SPARE_LINES:
         return None
     ground, jacobian = stations.ground, fit.solution.jacobian[rows]
-    quadric = _Quadric.over(ground)
-    rise = (jacobian[:, TRANSLATION] @ pose.R[:, 2])[:, None] * quadric.shapes(ground)
+    quadric = Quadric.over(ground)
+    rise = (across_slope(fit) * fit.profiles.px_per_unit)[rows, None] * quadric.shapes(ground)
     told, covariance = _laid(np.column_stack([jacobian[:, free], rise]), fit.distances_px[rows], line)
     factors, of_factors = told[len(free) :], covariance[len(free) :, len(free) :]
     surprise = float(factors @ np.linalg.pinv(of_factors, SINGULAR, hermitian=True) @ factors) / FACTORS
@@ -130,7 +110,7 @@ def _laid(
         root = np.sqrt(weight)
         told = np.linalg.lstsq(columns * root[:, None], -off * root, rcond=SINGULAR)[0]
         left = off + columns @ told
-        weight = 1.0 / (1.0 + (left / (HALF_SIGMAS * spread_about(left) + 1e-12)) ** 2)
+        weight = 1.0 / (1.0 + (left / (CAUCHY_SIGMAS * spread_about(left) + 1e-12)) ** 2)
     inverse = np.linalg.pinv((columns * weight[:, None]).T @ columns, SINGULAR**2, hermitian=True)
     sums = np.zeros((int(line.max()) + 1, len(unit)))
     np.add.at(sums, line, columns * (weight * left)[:, None])

@@ -17,6 +17,7 @@ from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.stations import Stations
 from autoreg.numbering import numbered
 from autoreg.slabs.measured_joints import MeasuredJoints
+from autoreg.slabs.quadric import Quadric
 
 # Slope across the joint (ground distance over camera height) at which the relief stops growing.
 KNEES = (0.4, 0.8, 1.6, 3.2, 8.0)
@@ -259,11 +260,9 @@ def width_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:
 def bow_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 3"]:
     """Pixels that each station moves where the ground is bent along X, along Y, or twisted, by its extent."""
     ground = joints.fit.stations.ground[joints.rows]
-    low, high = ground.min(0), ground.max(0)
-    extent = float(np.max(high - low))
-    x, y = ((2 * ground - low - high) / extent).T
-    rise = extent * joints.px_per_unit * _slope(joints)
-    return joints.middles_only(rise[:, None] * np.stack([x * x, y * y, x * y], 1))
+    quadric = Quadric.over(ground)
+    rise = quadric.extent * joints.px_per_unit * _slope(joints)
+    return joints.middles_only(rise[:, None] * quadric.shapes(ground))
 
 
 def course_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n c"]:
