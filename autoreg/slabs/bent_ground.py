@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import fdtrc
 
-from autoreg.fitting.bare_steps import across_slope
 from autoreg.fitting.fit import Fit
 from autoreg.numbering import numbered
 from autoreg.slabs.quadric import Quadric
@@ -62,7 +61,8 @@ def bend_of(fit: Fit) -> Bend | None:
         return None
     ground, jacobian = stations.ground, fit.solution.jacobian[rows]
     quadric = Quadric.over(ground)
-    rise = (across_slope(fit) * fit.profiles.px_per_unit)[rows, None] * quadric.shapes(ground)
+    # Of height over the plane: the ground moves along up, as the solver's motion beside it would move it.
+    rise = (jacobian[:, TRANSLATION] @ pose.R[:, 2])[:, None] * quadric.shapes(ground)
     told, covariance = _laid(np.column_stack([jacobian[:, free], rise]), fit.distances_px[rows], line)
     factors, of_factors = told[len(free) :], covariance[len(free) :, len(free) :]
     surprise = float(factors @ np.linalg.pinv(of_factors, SINGULAR, hermitian=True) @ factors) / FACTORS
