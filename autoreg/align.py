@@ -51,6 +51,7 @@ def align(
     *,
     slab: tuple[float, float] | None = None,
     camera_height: float | None = None,
+    ground: bool = False,
     exif_focal_px: float | None = None,
 ) -> Alignment:
     """The pose of the camera over the paving in a photo.
@@ -62,6 +63,7 @@ def align(
         slab: sides of a slab in metres, from joint to joint, in either order. The pose follows the joints
             where these have another ratio, and a warning says so.
         camera_height: height of the camera above the paving in metres, instead of `slab`.
+        ground: vouches for it that the joints lie on the ground: none is refused for looking like a wall.
         exif_focal_px: focal length in pixels that the photo's EXIF data claim. Where the photo's own joints
             contradict it, theirs is taken.
 
@@ -75,6 +77,7 @@ def align(
         camera,
         slab=slab,
         camera_height=camera_height,
+        ground=ground,
         exif_focal_px=exif_focal_px,
         colour=None if colour is None else lambda: colour,
     )
@@ -87,6 +90,7 @@ def align_seen(
     *,
     slab: tuple[float, float] | None = None,
     camera_height: float | None = None,
+    ground: bool = False,
     exif_focal_px: float | None = None,
     colour: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None,
 ) -> Alignment:
@@ -97,7 +101,7 @@ def align_seen(
         ValueError: an argument is out of range.
     """
     source: CameraSource = "photo" if camera is None else "file"
-    task = Task(sight, camera, source, slab, camera_height, colour)
+    task = Task(sight, camera, source, slab, camera_height, colour, ground)
     try:
         if camera is None and exif_focal_px is not None:
             return _by_exif(task, exif_focal_px)
@@ -187,6 +191,6 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
             *(() if unlike is None else (unlike.warning,)),
             # By a wrong camera any ground looks bent.
             *(() if bend is None or consistent is False else (bent(bend, fit, scale, scale_source),)),
-            *upright(fit),
+            *(() if task.ground else upright(fit)),
         ),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from autoreg.answer.camera_refusals import leaning
 from autoreg.answer.full_resolution import Laid, measured_rows, measured_slabs
@@ -58,12 +59,12 @@ def lay_where(task: Task, found: Paving | Rows) -> Laid:
         # What is no lattice at the photo's own resolution, rows may have looked like: on that ground, or else
         # they are lines of a pattern of several stones, by which the ground is another one.
         rows = find_rows(task.sight, task.camera)
-        if rows is None or maybe_wall(rows.paving.fit) is not None:
+        if rows is None or _maybe_wall(task, rows.paving.fit) is not None:
             raise
         if task.camera is not None and not same_ground(found.fit, rows.paving.fit):
             raise
         laid = _measured(task, rows)
-    wall = maybe_wall(laid.likeliest.fit, laid.likeliest.covariance)
+    wall = _maybe_wall(task, laid.likeliest.fit, laid.likeliest.covariance)
     if wall is not None:
         raise wall
     lean = common_lean(task.sight.segments, laid.fit, laid.settled.presence.field)
@@ -87,7 +88,7 @@ def _found(task: Task, *, thorough: bool) -> Paving | Rows:
     """The paving at detection scale; if that may be a wall, the one on the ground before it.
 
     What lies at somebody's feet, or is held up, may look like a wall as well, and is taken if there is no
-    other.
+    other, or nothing tells it from a wall but that somebody vouches for the ground.
 
     Raises:
         Refusal: there is none, or none that may not be a wall.
@@ -102,9 +103,14 @@ def _found(task: Task, *, thorough: bool) -> Paving | Rows:
         before = None
     if before is not None and maybe_wall(_fit_of(before)) is None and _across(found, before):
         return before
-    if wall is not None:
+    if wall is not None and not task.ground:
         raise wall
     return found
+
+
+def _maybe_wall(task: Task, fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> Refusal | None:
+    """The refusal of what may be a wall, unless somebody vouches for the ground."""
+    return None if task.ground else maybe_wall(fit, covariance)
 
 
 def _like_wall(found: Paving | Rows) -> bool:
@@ -134,5 +140,6 @@ def _measured(task: Task, found: Paving | Rows) -> Laid:
     if blamed is not None:
         raise blamed
     if rows:
-        return measured_rows(task.sight, task.picture, found, task.free, square=task.source == "photo")
+        square = task.source == "photo"
+        return measured_rows(task.sight, task.picture, found, task.free, square=square, ground=task.ground)
     return measured_slabs(task.sight, task.picture, found, task.free, task.slab)

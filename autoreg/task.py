@@ -41,6 +41,7 @@ class Task:
         slab: sides of a slab in metres, in either order.
         camera_height: height of the camera above the paving in metres.
         colour: gives the photo in colour (BGR), if it has colours.
+        ground: whether somebody vouches for it that no wall is seen, where the photo itself does not tell.
     """
 
     sight: Sight
@@ -49,6 +50,7 @@ class Task:
     slab: tuple[float, float] | None = None
     camera_height: float | None = None
     colour: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None
+    ground: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what is out of range (ValueError)."""

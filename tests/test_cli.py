@@ -73,9 +73,15 @@ def test_an_aligned_photo_exits_0_and_writes_beside_the_working_folder(photo, al
     assert json.loads(Path("photo.png.autoreg/alignment.json").read_text())["status"] == "aligned"
     assert aligned["slab"] == (0.3, 0.6)
     assert aligned["camera_height"] is None
+    assert aligned["ground"] is False
     assert aligned["shape"] == (480, 640)
     assert done.stdout == ""
     assert "0.6 x 0.3 m" in done.stderr
+
+
+def test_who_vouches_for_the_ground_is_heard(photo, aligned):
+    assert run("align", photo, "--ground", "-o", "out").exit_code == 0
+    assert aligned["ground"] is True
 
 
 def test_json_prints_the_report_and_nothing_else(photo, aligned):

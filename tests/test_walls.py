@@ -82,10 +82,22 @@ def test_a_wall_that_the_camera_looks_down_on_is_no_floor_seen_upside_down(camer
     assert align(photo[::-1, ::-1].copy(), camera).lattice.kind == "running"
 
 
+def test_level_courses_seen_from_above_are_ground_for_who_vouches_for_it():
+    pose = look_at_ground(pitch_deg=72.0, height_m=4.0, heading_deg=0.5)
+    photo = wall_beyond(bricks(), stones(), pose, 50.0)
+    with pytest.raises(Refusal, match="--ground") as refused:
+        align(photo, CAMERA)
+    assert refused.value.code == "not_ground"
+    found = align(photo, CAMERA, ground=True)
+    assert found.lattice.kind == "running"
+    assert np.rad2deg(np.arccos(found.pose.cam_from_ground.R[:, 2] @ pose.R[:, 2])) < 0.1
+
+
 @pytest.mark.slow
 def test_the_ground_before_a_wall_is_found_where_the_wall_is_plainer():
     pose = rolled(22.0)
-    found = align(wall_beyond(ashlar(), bricks(), pose, 4.2), CAMERA)
+    # Neither does it make a wall the ground that somebody vouches for that.
+    found = align(wall_beyond(ashlar(), bricks(), pose, 4.2), CAMERA, ground=True)
     assert found.lattice.kind == "rows"
     turn = min(
         np.rad2deg(angle_between_rotations(found.pose.cam_from_ground.R @ np.diag([s, s, 1.0]), pose.R))
@@ -124,8 +136,9 @@ def test_the_floor_before_a_tiled_wall_that_faces_aside_is_found_where_the_wall_
 
 
 def test_a_tiled_wall_that_faces_aside_is_wondered_at_where_no_ground_is_seen_before_it():
-    found = align(wall_beyond(stones(), tiles(0.2, 90.0), aslant(5.0), 2.6), CAMERA)
-    assert any("wall" in said for said in found.warnings)
+    photo = wall_beyond(stones(), tiles(0.2, 90.0), aslant(5.0), 2.6)
+    assert any("wall" in said for said in align(photo, CAMERA).warnings)
+    assert not any("wall" in said for said in align(photo, CAMERA, ground=True).warnings)
 
 
 @pytest.mark.parametrize(("pitch", "wondered"), [(95.0, False), (112.0, True), (60.0, False)])

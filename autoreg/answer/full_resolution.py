@@ -88,10 +88,12 @@ class Laid:
     longer: bool | None = None
 
 
-def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *, square: bool) -> Laid:
+def measured_rows(
+    sight: Sight, picture: np.ndarray, found: Rows, free: Free, *, square: bool, ground: bool = False
+) -> Laid:
     """Rows, with the focal length at which their cross joints are `square`, if that is asked for.
 
-    `free` says what is known of the camera beforehand.
+    `free` says what is known of the camera beforehand, `ground` that they are no wall's.
 
     Raises:
         Refusal: they cannot be measured, are arcs, or tell the focal length too little.
@@ -106,7 +108,7 @@ def measured_rows(sight: Sight, picture: np.ndarray, found: Rows, free: Free, *,
         raise bowed
     squared = None
     if square:
-        squared = _square(picture, fit, sight.segments, found, free)
+        squared = _square(picture, fit, sight.segments, found, free, ground=ground)
         fit, crossing = squared.settled.fit, squared.crossing
     small = sight.looks.picture
     settled = _settled_rows(small, _at_detection_scale(fit, small, found.paving), found)
@@ -190,18 +192,20 @@ def _on_module(paving: Paving) -> Refusal | None:
     return on_module(meetings(paving.presence.inside(paving.presence.field)))
 
 
-def _square(picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free) -> Squared:
+def _square(
+    picture: np.ndarray, fit: Fit, segments: Segments, found: Rows, known: Free, *, ground: bool
+) -> Squared:
     """Rows with the focal length at which their cross joints are square.
 
     Raises:
-        Refusal: they tell it too little for a pose.
+        Refusal: they tell it too little for a pose; those of what may be a wall, for that.
     """
     squared = square_up(picture, fit, segments, found.paving.presence.field, known, REACH)
     if squared is None:
         raise focal_untold("rows", None, np.inf, MOST_FOCAL_SIGMA)
     if squared.sigma_log_focal > MOST_FOCAL_SIGMA:
         settled, sigma = squared.settled, squared.sigma_log_focal
-        wall = maybe_wall(settled.fit, settled.covariance)
+        wall = None if ground else maybe_wall(settled.fit, settled.covariance)
         raise wall or focal_untold("rows", settled.fit.camera.fx, sigma, MOST_FOCAL_SIGMA)
     return squared
 

@@ -156,8 +156,9 @@ def maybe_wall(fit: Fit, covariance: Float[np.ndarray, "6 6"] | None = None) -> 
     return Refusal(
         "not_ground",
         f"these courses lie level in the picture and are seen from the front ({np.rad2deg(tilt):.0f} "
-        "degrees aslant) as those of a wall are, and the photo does not tell whether it is one; photograph "
-        "the ground more from the side, or with the camera turned by some degrees",
+        "degrees aslant) as those of a wall are, and the photo does not tell whether it is one; give "
+        "--ground if this is the ground, or photograph it more from the side, or with the camera turned by "
+        "some degrees",
         measured=round(skew_deg, 2),
         limit=LEVEL_DEG,
     )
@@ -167,7 +168,8 @@ def _upright(R: Float[np.ndarray, "3 3"]) -> Refusal:
     """The refusal of joints that stand upright in the picture, on a plane that is no ground unless rolled."""
     return Refusal(
         "not_ground",
-        f"{_said_upright(R)}; turn the photo if it does not stand upright, or photograph the ground",
+        f"{_said_upright(R)}; turn the photo if it does not stand upright, give --ground if this is the "
+        "ground all the same, or photograph that",
         measured=round(roll_deg(R), 1),
         limit=round(float(np.rad2deg(MAX_ROLL_RAD)), 1),
     )
@@ -197,7 +199,8 @@ def _upside_down(R: Float[np.ndarray, "3 3"]) -> Refusal:
     return Refusal(
         "not_ground",
         f"these joints lie level and recede downwards ({below_deg:.0f} degrees), as those of a wall do that "
-        "the camera looks down on; turn the photo if it stands on its head, or photograph the ground",
+        "the camera looks down on; turn the photo if it stands on its head, give --ground if this is the "
+        "ground all the same, or photograph that",
         measured=round(below_deg, 1),
         limit=0.0,
     )

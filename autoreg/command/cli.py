@@ -79,6 +79,9 @@ def align_command(
     camera_height: Annotated[
         str | None, typer.Option(metavar="METRES", help="Camera's height above the ground: 1.55.")
     ] = None,
+    ground: Annotated[
+        bool, typer.Option("--ground", help="The paving is ground even where it may be a wall's.")
+    ] = False,
     output: _FolderOption = None,
     render: Annotated[
         bool, typer.Option("--render", help="Also write render.png and composite.png.")
@@ -118,6 +121,7 @@ def align_command(
             crop=None if crop is None else parse_crop(crop),
             slab=None if slab is None else parse_slab(slab),
             camera_height=None if camera_height is None else parse_height(camera_height),
+            ground=ground,
             engine=(engine or "auto") if render else None,
             wish=wish,
         )

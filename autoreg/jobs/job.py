@@ -74,6 +74,7 @@ class Job:
         crop: x, y, w, h of the part of the calibrated frame that the photo shows.
         slab: the slab's two sides in metres, in either order.
         camera_height: the camera's height above the ground in metres.
+        ground: whether what may be a wall's joints are taken for the ground's.
         engine: what renders, or None for no render.
         wish: what the scene shows, and how.
     """
@@ -84,6 +85,7 @@ class Job:
     crop: tuple[int, int, int, int] | None = None
     slab: tuple[float, float] | None = None
     camera_height: float | None = None
+    ground: bool = False
     engine: EngineName | None = None
     wish: Wish = field(default_factory=Wish)
 
@@ -151,6 +153,7 @@ def _assert_sound(job: Any) -> None:
         ("crop", job.crop is None or _are_numbers(job.crop, 4, Integral), "four whole numbers, or None"),
         ("slab", job.slab is None or _are_numbers(job.slab, 2, Real), "two sides in metres, or None"),
         ("camera_height", isinstance(job.camera_height, (Real, NoneType)), "metres, or None"),
+        ("ground", isinstance(job.ground, bool), "True or False"),
         ("engine", job.engine in (None, *get_args(EngineName)), "auto, povray, preview, or None"),
         ("wish", isinstance(job.wish, Wish), "a Wish"),
     )
@@ -179,6 +182,7 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
                 camera,
                 slab=job.slab,
                 camera_height=job.camera_height,
+                ground=job.ground,
                 exif_focal_px=photo.exif_focal_px,
                 colour=decoded.result,
             )
