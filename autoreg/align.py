@@ -23,11 +23,12 @@ from autoreg.answer.conclude import (
 )
 from autoreg.answer.full_resolution import REACH, Laid
 from autoreg.answer.last_step import rested
-from autoreg.answer.refusals import on_its_side, upright
+from autoreg.answer.refusals import grooved, on_its_side, upright
 from autoreg.answer.slab_shape import plausible_focal, strain, unlike_slab
 from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
+from autoreg.fitting.heavier_lines import heavier_lines
 from autoreg.geometry import Rigid
 from autoreg.ground.sight import Sight, see
 from autoreg.image import as_colour, as_gray
@@ -155,6 +156,9 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
         raise focal_untold("slabs", fit.camera.fx, sigma, MOST_SLABS_FOCAL_SIGMA, slab_helps=helps)
     if source == "photo" and not plausible_focal(fit.camera, laid.fit.free):
         raise focal_implausible(fit.camera)
+    doubted = None if task.slab is None else grooved(heavier_lines(fit))
+    if doubted is not None:
+        raise doubted
     scale, scale_source = metric_scale(fit, task.slab, task.camera_height, laid.longer)
     frame = canonical_frame(fit, settled.presence, laid.crossing)
     pose = frame.pose(fit.cam_from_ground)

@@ -16,7 +16,7 @@ from autoreg.ground.sight import looks_at
 from autoreg.joints.joint_looks import Strip
 from autoreg.paving.lattice_choice import carry, of_joints_alone, settle_bond, suited, with_pattern
 from autoreg.paving.lattice_evidence import Paving, presented, rival, same_lattice, told_twice
-from autoreg.paving.lay import fills, lay_lattice, refine_in_field
+from autoreg.paving.lay import fills, fitted_anew, lay_lattice, refine_in_field
 from autoreg.paving.multiples import divided
 from autoreg.paving.patterns import Pattern
 from autoreg.paving.plane_combs import comb_planes
@@ -304,6 +304,18 @@ def test_a_lattice_is_the_same_from_any_of_its_crossings_and_from_no_other_place
     assert not any(same(*place) for place in ((0.5, 0), (0, 0.5)))
     wider = replace(half_fit, grid=replace(half_fit.grid, spacing_x=2 * a))
     assert not same_lattice(half_fit, wider)
+
+
+def test_a_bond_that_a_bad_fit_hid_shows_when_its_lattice_is_fitted_anew(
+    half_fit: Fit, half_photo: SyntheticPhoto
+):
+    picture = gray_of(half_photo)
+    halves = replace(half_fit, grid=Grid(0.3, 0.3), free=Free(ratio=True))
+    hidden = Paving(halves, presence_of(picture, halves), (0.0, 0.0))
+    again = fitted_anew(picture, hidden)
+    assert again is not None
+    assert again.grid.shift == 0.5
+    assert spacing_of(again.fit) == pytest.approx((0.6, 0.3), rel=0.01)
 
 
 def test_a_lattice_in_another_unit_is_no_rival(stack_fit: Fit, stack_photo: SyntheticPhoto):

@@ -38,6 +38,19 @@ def family(spacing_rows: float | None, phase_rows: float = 0.0, *, missing: int 
     return Family(evidence.astype(np.float32), visible, 0.01 * np.arange(LINES), np.arange(float(COLUMNS)))
 
 
+def wide_joints(spacing_rows: float, share: float) -> Family:
+    """Noise with joints over so large a share of the ground, which are clearest at their middles."""
+    rng = np.random.default_rng(0)
+    evidence = rng.uniform(-0.5, 0.5, (2 * LINES, COLUMNS))
+    row, half = np.arange(2.0 * LINES), 0.5 * share * spacing_rows
+    off = np.abs((row - 7.0 + 0.5 * spacing_rows) % spacing_rows - 0.5 * spacing_rows)
+    joint = off < half
+    clear = 0.45 * (1.0 - 0.3 * (off[joint] / half) ** 2)
+    evidence[joint] = clear[:, None] + rng.uniform(-0.3, 0.3, (joint.sum(), COLUMNS))
+    visible = np.ones(evidence.shape, bool)
+    return Family(evidence.astype(np.float32), visible, 0.01 * row, np.arange(float(COLUMNS)))
+
+
 def scored(llr: np.ndarray, spacings: np.ndarray) -> np.ndarray:
     """Scores of combs on lines that are all seen, a unit apart."""
     lines = predicted_lines(np.arange(float(len(llr))), spacings)
@@ -53,6 +66,12 @@ def test_the_spacing_and_phase_of_a_comb_are_found_and_neither_half_nor_twice(sp
     joints = 0.01 * np.arange(phase * spacing, LINES, spacing)
     off = np.mod(joints - best.phase + 0.5 * best.spacing, best.spacing) - 0.5 * best.spacing
     assert np.median(np.abs(off)) < 0.02
+
+
+@pytest.mark.parametrize(("spacing", "share"), [(30.0, 0.42), (44.0, 0.3), (44.0, 0.42), (60.0, 0.36)])
+def test_of_wide_joints_no_part_of_their_spacing_is_found(spacing: float, share: float):
+    best = best_combs(wide_joints(spacing, share))[0]
+    assert best.spacing == pytest.approx(0.01 * spacing, rel=0.025)
 
 
 def test_a_comb_is_found_in_the_part_of_the_ground_where_it_is():

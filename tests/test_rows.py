@@ -97,6 +97,13 @@ def test_random_ashlar_tells_the_spacing_of_its_unbroken_joints_and_the_ground(a
     assert np.rad2deg(np.arccos(np.clip(up, -1, 1))) < 0.5
 
 
+def test_all_rows_in_view_are_evidence_for_them(ashlar_rows: Rows):
+    paving = ashlar_rows.paving
+    lines = len(np.unique(paving.presence.inside(paving.presence.field).sides.line))
+    # Plain to see, each joint counts as much as so many sides that hardly any control exceeds.
+    assert paving.evidence_nats[0] > 6.0 * lines
+
+
 def test_the_crossing_to_start_from_lies_on_an_unbroken_joint(ashlar_rows: Rows):
     line = ashlar_rows.crossing[1] / ashlar_rows.paving.grid.spacing_y
     assert line == pytest.approx(round(line), abs=1e-9)

@@ -82,14 +82,18 @@ def test_a_wall_that_the_camera_looks_down_on_is_no_floor_seen_upside_down(camer
     assert align(photo[::-1, ::-1].copy(), camera).lattice.kind == "running"
 
 
-def test_level_courses_seen_from_above_are_ground_for_who_vouches_for_it():
+@pytest.mark.parametrize(
+    ("paving", "kind"),
+    [(bricks(), "running"), pytest.param(ashlar(), "rows", marks=pytest.mark.slow)],
+)
+def test_level_courses_seen_from_above_are_ground_for_who_vouches_for_it(paving: np.ndarray, kind: str):
     pose = look_at_ground(pitch_deg=72.0, height_m=4.0, heading_deg=0.5)
-    photo = wall_beyond(bricks(), stones(), pose, 50.0)
+    photo = wall_beyond(paving, stones(), pose, 50.0)
     with pytest.raises(Refusal, match="--ground") as refused:
         align(photo, CAMERA)
     assert refused.value.code == "not_ground"
     found = align(photo, CAMERA, ground=True)
-    assert found.lattice.kind == "running"
+    assert found.lattice.kind == kind
     assert np.rad2deg(np.arccos(found.pose.cam_from_ground.R[:, 2] @ pose.R[:, 2])) < 0.1
 
 

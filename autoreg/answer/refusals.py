@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
+from autoreg.fitting.heavier_lines import HEAVIER, Heavier
 from autoreg.ground.upright import FRONTAL_RAD, LEVEL_RAD, MAX_ROLL_RAD, like_upright_wall, roll_deg
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import RIVAL_NATS, TESTED_NATS, Paving
@@ -124,6 +125,24 @@ def ambiguous(best: Paving, other: Paving) -> Refusal:
         "take a photo that shows more slabs, or more sharply",
         measured=round(best.margin_nats - other.margin_nats, 2),
         limit=RIVAL_NATS,
+    )
+
+
+def grooved(heavier: Heavier) -> Refusal | None:
+    """The refusal of a told slab whose size may be that of slabs, or of what lies between their grooves.
+
+    None where no joints are heavier in turn than those between them.
+    """
+    if heavier.period == 1:
+        return None
+    return Refusal(
+        "ambiguous",
+        f"one joint in {heavier.period} is {heavier.times:.1f} times as wide and dark as those between, "
+        "which may be grooves in the slabs: the photo does not tell which of the two --slab is the size of, "
+        f"and all lengths would be {heavier.period} times as large by the other; give --camera-height "
+        "instead, or photograph slabs without grooves",
+        measured=round(heavier.times, 2),
+        limit=HEAVIER,
     )
 
 

@@ -135,13 +135,18 @@ def _breaks_off(presence: Presence, *, few: bool = False) -> bool:
 
 
 def line_evidence(presence: Presence, grid: Grid) -> tuple[float, float]:
-    """Log likelihood ratio of the lattice, per family, over the part of the picture that suits best."""
+    """Log likelihood ratio of the lattice, per family, over the part of the picture that suits best.
+
+    Either family pays half the price of the choice; the joints of rows, which are of one, pay the whole.
+    """
     options = [
-        tuple(evidence - 0.5 * price for evidence in _evidence_of(presence.take(np.flatnonzero(field)), grid))
+        (*_evidence_of(presence.take(np.flatnonzero(field)), grid), price)
         for field, price in presence.possible_fields
     ]
-    x, y = max(options, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
-    return x, y
+    if grid.spacing_x is None:
+        return max(x - price for x, _, price in options), 0.0
+    pairs = [(x - 0.5 * price, y - 0.5 * price) for x, y, price in options]
+    return max(pairs, key=lambda pair: min(sum(pair), 2 * min(pair) + 20.0))
 
 
 def _evidence_of(presence: Presence, grid: Grid) -> tuple[float, float]:

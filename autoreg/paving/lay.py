@@ -169,7 +169,7 @@ def _laid(looks: Looks, plane: PlaneCombs, start: _Start, free: Free, *, both: b
         fit = refine_in_field(looks.picture, fit, field)
         laid = settle_bond(looks.picture, fit)
     if laid is not None and laid.grid != fit.grid:
-        laid = _fitted_anew(looks.picture, laid)
+        laid = fitted_anew(looks.picture, laid)
     return None if laid is None else of_single_slabs(looks.picture, laid)
 
 
@@ -193,12 +193,17 @@ def _fitted(
     return best if best.missed < FEWER * first.missed else first
 
 
-def _fitted_anew(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving:
-    """A lattice that was told by the fit of another one, by its own joints, if that makes it clearer."""
+def fitted_anew(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving | None:
+    """A lattice that was told by the fit of another one, by its own joints, if that makes it clearer.
+
+    What hid from the other fit, the bond or that there is none, shows then.
+    """
     told = laid.fit
     grown = _fitted(picture, told.camera, told.cam_from_ground, told.grid, told.free)
     again = grown and presented(picture, refine_in_field(picture, grown, laid.presence.field))
-    return again if again is not None and again.margin_nats > laid.margin_nats else laid
+    if again is None or again.margin_nats <= laid.margin_nats:
+        return laid
+    return settle_bond(picture, again.fit, again.presence)
 
 
 def of_single_slabs(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving | None:

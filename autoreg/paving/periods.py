@@ -60,6 +60,18 @@ def log_likelihood_ratio(z: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return np.minimum(np.log((1.0 - MISSED) / SUPPORT_RANGE / background + MISSED), CAP)
 
 
+def line_llr(z: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Log likelihood ratios of lines, none of which exceeds what its rank among all `valid` ones allows.
+
+    Wide joints look like joints over a good part of the ground, where any line meets them by chance: the
+    middle of each counts for more than its rims.
+    """
+    ordered = np.sort(z[valid])
+    above = len(ordered) - np.searchsorted(ordered, z, side="left")
+    by_chance = (above + 1.0) / (len(ordered) + 1.0)
+    return np.minimum(log_likelihood_ratio(z), np.log((1.0 - MISSED) / by_chance + MISSED))
+
+
 def blurred(llr: Float[np.ndarray, " lines *n"], tolerance: int = 1) -> Float[np.ndarray, " lines *n"]:
     """Log of the likelihood ratio averaged over a position that is known to `tolerance` lines."""
     flat = np.exp(llr).reshape(len(llr), -1)
@@ -231,13 +243,13 @@ def best_combs(
         return ()
     spacings = _spacings(family.offset, valid)
     lines = predicted_lines(family.offset, spacings)
-    scores = comb_scores(lines, blurred(log_likelihood_ratio(z)), valid)
+    scores = comb_scores(lines, blurred(line_llr(z, valid)), valid)
     found = list(distinct(spacings, scores, count))
     for window in WINDOWS if local else ():
         z, valid = line_z(support, counted, window)
         if valid.sum() < 20:
             continue
-        gain = lines.gain(blurred(log_likelihood_ratio(z)), valid)
+        gain = lines.gain(blurred(line_llr(z, valid)), valid)
         cost = np.log(len(WINDOWS)) + np.log(lines.count)[:, None]
         ends = np.array(window) * (len(family.along) - 1)
         along = tuple(np.interp(ends, np.arange(len(family.along)), family.along).tolist())

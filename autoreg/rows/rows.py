@@ -86,8 +86,8 @@ def lay_rows(
 
 def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) -> Fit | None:
     """The fit of unbroken joints, coarsened where only every second or third of them is there."""
-    fit = fit_outwards(picture, plane.camera, start, grid, Free(step_sigma=STEP_SIGMA))
-    for _ in range(3):
+    for _ in range(4):
+        fit = fit_outwards(picture, plane.camera, start, grid, Free(step_sigma=STEP_SIGMA))
         if fit is None:
             return None
         presence = presence_of(picture, fit)
@@ -96,10 +96,10 @@ def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) 
         pattern = true_sides(presence, ALONG_X)
         if pattern.period == 1 or pattern.advance:
             return refine_in_field(picture, fit, presence.field)
-        wider = Grid(None, fit.grid.spacing_y * pattern.period)
-        pose = with_origin(fit.cam_from_ground, 0.0, pattern.phase * fit.grid.spacing_y)
-        fit = replace(fit, grid=wider, cam_from_ground=pose)
-    return fit
+        # The lines between the joints have led that fit astray.
+        start = with_origin(start, 0.0, pattern.phase * grid.spacing_y)
+        grid = Grid(None, grid.spacing_y * pattern.period)
+    return None
 
 
 def _rows_of(picture: np.ndarray, fit: Fit, segments: Segments, size: tuple[int, int]) -> Rows | None:
