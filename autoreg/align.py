@@ -23,7 +23,7 @@ from autoreg.answer.conclude import (
 )
 from autoreg.answer.full_resolution import REACH, Laid
 from autoreg.answer.last_step import rested
-from autoreg.answer.refusals import grooved, on_its_side, upright
+from autoreg.answer.refusals import grooved, maybe_grooves, on_its_side, upright
 from autoreg.answer.slab_shape import plausible_focal, strain, unlike_slab
 from autoreg.blas_threads import one_blas_thread
 from autoreg.camera import Camera
@@ -156,7 +156,8 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
         raise focal_untold("slabs", fit.camera.fx, sigma, MOST_SLABS_FOCAL_SIGMA, slab_helps=helps)
     if source == "photo" and not plausible_focal(fit.camera, laid.fit.free):
         raise focal_implausible(fit.camera)
-    doubted = None if task.slab is None else grooved(heavier_lines(fit))
+    heavier = heavier_lines(fit)
+    doubted = None if task.slab is None else grooved(heavier)
     if doubted is not None:
         raise doubted
     scale, scale_source = metric_scale(fit, task.slab, task.camera_height, laid.longer)
@@ -195,6 +196,7 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
             *(() if unlike is None else (unlike.warning,)),
             # By a wrong camera any ground looks bent.
             *(() if bend is None or consistent is False else (bent(bend, fit, scale, scale_source),)),
+            *maybe_grooves(heavier),
             *(() if task.ground else upright(fit)),
         ),
     )

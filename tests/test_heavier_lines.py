@@ -32,12 +32,14 @@ def test_joints_that_are_heavier_in_turn_are_told_of_with_what_would_help():
     # By another scale the pose is the same, whichever of the two are joints.
     found = align(photo, CAMERA, camera_height=1.6)
     assert found.lattice.spacing_x == pytest.approx(PART_M, rel=0.01)
+    assert any("4 times as large" in said for said in found.warnings)
 
 
 def test_joints_of_one_kind_are_not_heavier_in_turn():
     photo = grooved(4, joint_m=0.008, groove_m=0.008)
     found = align(photo, CAMERA, slab=(PART_M, PART_M))
     assert found.pose.cam_from_ground.origin_in_a[2] == pytest.approx(1.6, rel=0.005)
+    assert not any("grooves" in said for said in found.warnings)
 
 
 @pytest.mark.parametrize("period", [2, 3, 6])

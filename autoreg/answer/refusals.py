@@ -137,12 +137,25 @@ def grooved(heavier: Heavier) -> Refusal | None:
         return None
     return Refusal(
         "ambiguous",
-        f"one joint in {heavier.period} is {heavier.times:.1f} times as wide and dark as those between, "
-        "which may be grooves in the slabs: the photo does not tell which of the two --slab is the size of, "
-        f"and all lengths would be {heavier.period} times as large by the other; give --camera-height "
-        "instead, or photograph slabs without grooves",
+        f"{_said_heavier(heavier)}: the photo does not tell which of the two --slab is the size of, and all "
+        f"lengths would be {heavier.period} times as large by the other; give --camera-height instead, or "
+        "photograph slabs without grooves",
         measured=round(heavier.times, 2),
         limit=HEAVIER,
+    )
+
+
+def maybe_grooves(heavier: Heavier) -> tuple[str, ...]:
+    """The warning of a lattice that may be of what grooves leave of its slabs, where no slab was told."""
+    if heavier.period == 1:
+        return ()
+    return (f"{_said_heavier(heavier)}: the slabs may be {heavier.period} times as large as this lattice",)
+
+
+def _said_heavier(heavier: Heavier) -> str:
+    return (
+        f"one joint in {heavier.period} is {heavier.times:.1f} times as wide and dark as those between, "
+        "which may be grooves in the slabs"
     )
 
 
