@@ -49,6 +49,11 @@ def test_the_interval_is_found_though_lines_differ(period: int):
     assert in_turn([(line, weight)]).period == period
 
 
+def test_lines_between_which_there_is_nothing_are_so_many_times_as_heavy_at_the_most():
+    line = np.arange(32)
+    assert in_turn([(line, np.where(line % 4 == 2, 3.0, 0.0))]) == pytest.approx((4, 100.0), rel=1e-6)
+
+
 def test_few_lines_and_worn_ones_tell_nothing():
     rng = np.random.default_rng(2)
     assert in_turn([(np.arange(5), np.array([1.0, 9.0, 1.0, 9.0, 1.0]))]) == Heavier(1, 1.0)

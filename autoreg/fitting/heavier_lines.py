@@ -19,8 +19,8 @@ from autoreg.joints.profiles import STEP_PX
 # Intervals that are looked for, in joints.
 PERIODS = (2, 3, 4, 5, 6)
 # A heavier joint has so many times the tone and width of any between it and the next one. Worn and overgrown
-# ones differ by as much, but not in turn.
-HEAVIER = 1.5
+# ones differ by as much, but not in turn. Where hardly anything is between them the second number is told.
+HEAVIER, MOST_TIMES = 1.5, 100.0
 # The probability that some joints in turn are the heaviest of all around them, where they differ by chance.
 BY_CHANCE = 1e-3
 # A line's weight is the median of so many stations or more. Beyond a joint and its blur the tone of its slabs
@@ -99,7 +99,8 @@ def _at_period(
         # At the rim there may be none on one side.
         told = beside.sum(1) >= period - 1
         own, beside = own[told], beside[told]
-        times = weight[own] / np.maximum(np.where(beside, weight, 0.0).max(1, initial=0.0), 1e-9)
+        between = np.where(beside, weight, 0.0).max(1, initial=0.0)
+        times = weight[own] / np.maximum(between, np.abs(weight[own]) / MOST_TIMES + 1e-9)
         if len(own) and times.min() > HEAVIER:
             return period * float(np.prod(1.0 / (1.0 + beside.sum(1)))), float(np.median(times))
     return None
