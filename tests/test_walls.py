@@ -97,11 +97,12 @@ def test_level_courses_seen_from_above_are_ground_for_who_vouches_for_it(paving:
     assert np.rad2deg(np.arccos(found.pose.cam_from_ground.R[:, 2] @ pose.R[:, 2])) < 0.1
 
 
+# Nor does it make a wall the ground that somebody vouches for that.
 @pytest.mark.slow
-def test_the_ground_before_a_wall_is_found_where_the_wall_is_plainer():
+@pytest.mark.parametrize("ground", [False, True])
+def test_the_ground_before_a_wall_is_found_where_the_wall_is_plainer(ground: bool):
     pose = rolled(22.0)
-    # Neither does it make a wall the ground that somebody vouches for that.
-    found = align(wall_beyond(ashlar(), bricks(), pose, 4.2), CAMERA, ground=True)
+    found = align(wall_beyond(ashlar(), bricks(), pose, 4.2), CAMERA, ground=ground)
     assert found.lattice.kind == "rows"
     turn = min(
         np.rad2deg(angle_between_rotations(found.pose.cam_from_ground.R @ np.diag([s, s, 1.0]), pose.R))

@@ -89,7 +89,7 @@ class Laid:
 
 
 def measured_rows(
-    sight: Sight, picture: np.ndarray, found: Rows, free: Free, *, square: bool, ground: bool = False
+    sight: Sight, picture: np.ndarray, found: Rows, free: Free, *, square: bool, ground: bool
 ) -> Laid:
     """Rows, with the focal length at which their cross joints are `square`, if that is asked for.
 

@@ -73,15 +73,19 @@ def of_joints_alone(picture: Float[np.ndarray, "h w"], paving: Paving) -> Paving
 def settle_bond(
     picture: Float[np.ndarray, "h w"], fit: Fit, presence: Presence | None = None
 ) -> Paving | None:
-    """The bond that the presence of the single sides shows, with the lattice's axes turned to suit it.
+    """The bond that the presence of a fit's single sides shows, as for `of_true_bond`; it may be known."""
+    best = presented(picture, fit, presence)
+    return None if best is None else of_true_bond(picture, best)
+
+
+def of_true_bond(picture: Float[np.ndarray, "h w"], paving: Paving) -> Paving | None:
+    """The bond that a lattice's single sides show, with its axes turned to suit it; None if they show none.
 
     The lattice is coarsened where whole classes of its sides are absent, and refined where sides are found
-    between its joints. The `presence` of its sides may be known.
+    between its joints.
     """
-    best = presented(picture, fit, presence)
+    best = paving
     for _ in range(6):
-        if best is None:
-            return None
         fit, presence = best.fit, best.clearest
         along_x, along_y = true_sides(presence, ALONG_X), true_sides(presence, ALONG_Y)
         without_absent = with_pattern(fit, along_x, along_y)
@@ -96,10 +100,11 @@ def settle_bond(
         coarser = along_x.advance == along_y.advance == 0 and max(along_x.period, along_y.period) in (2, 3)
         if not coarser and sum(other.evidence_nats) < sum(best.evidence_nats) - 1.0:
             # A small field has too few sides to be whole in spite of those that are absent.
-            best = None if best.closer and without_absent else best
+            if best.closer and without_absent:
+                return None
             break
         best = other
-    return None if best is None or departs(best.clearest) else best
+    return None if departs(best.clearest) else best
 
 
 def departs(presence: Presence) -> bool:

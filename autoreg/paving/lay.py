@@ -22,7 +22,7 @@ from autoreg.ground.sides import Grid, visible_sides
 from autoreg.ground.sight import Look, Looks
 from autoreg.paving.bond import BondHypothesis, bond_hypotheses
 from autoreg.paving.corrections import by_measured_shifts
-from autoreg.paving.lattice_choice import hopeful, settle_bond
+from autoreg.paving.lattice_choice import hopeful, of_true_bond, settle_bond
 from autoreg.paving.lattice_evidence import Paving, presented, told_twice
 from autoreg.paving.multiples import divided, slabs_in_one, too_long
 from autoreg.paving.periods import Comb, best_combs
@@ -203,7 +203,7 @@ def fitted_anew(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving | Non
     again = grown and presented(picture, refine_in_field(picture, grown, laid.presence.field))
     if again is None or again.margin_nats <= laid.margin_nats:
         return laid
-    return settle_bond(picture, again.fit, again.presence)
+    return of_true_bond(picture, again)
 
 
 def of_single_slabs(picture: Float[np.ndarray, "h w"], laid: Paving) -> Paving | None:

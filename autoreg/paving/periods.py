@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from autoreg.ground.rectify import Family, line_support
+from autoreg.paving.presence import rank_p
 
 # Share of true joints that cannot be seen (covered, overgrown, worn).
 MISSED = 0.08
@@ -66,10 +67,7 @@ def line_llr(z: Float[np.ndarray, " n"], valid: Bool[np.ndarray, " n"]) -> Float
     Wide joints look like joints over a good part of the ground, where any line meets them by chance: the
     middle of each counts for more than its rims.
     """
-    ordered = np.sort(z[valid])
-    above = len(ordered) - np.searchsorted(ordered, z, side="left")
-    by_chance = (above + 1.0) / (len(ordered) + 1.0)
-    return np.minimum(log_likelihood_ratio(z), np.log((1.0 - MISSED) / by_chance + MISSED))
+    return np.minimum(log_likelihood_ratio(z), np.log((1.0 - MISSED) / rank_p(z, z[valid]) + MISSED))
 
 
 def blurred(llr: Float[np.ndarray, " lines *n"], tolerance: int = 1) -> Float[np.ndarray, " lines *n"]:

@@ -107,6 +107,13 @@ class Presence:
         return (*fields, (boxes[best], box_cost))
 
 
+def rank_p(support: Float[np.ndarray, " n"], among: Float[np.ndarray, " m"]) -> Float[np.ndarray, " n"]:
+    """The p-value of each support by its rank among that of places like it: the share that has as much."""
+    ordered = np.sort(among)
+    above = len(ordered) - np.searchsorted(ordered, support, side="left")
+    return (1 + above) / (1 + len(ordered))
+
+
 def p_llr(p: Float[np.ndarray, "*n"], missed: float) -> Float[np.ndarray, "*n"]:
     """Log likelihood ratio of a p-value: a Beta density that gathers at zero, or missed, against uniform.
 

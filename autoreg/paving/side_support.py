@@ -20,7 +20,7 @@ from autoreg.joints.edges import strip_support
 from autoreg.joints.joint_looks import Strip
 from autoreg.joints.profiles import sample_profiles
 from autoreg.paving.paved_part import likeliest_box
-from autoreg.paving.presence import Presence, likeliest_llr
+from autoreg.paving.presence import Presence, likeliest_llr, rank_p
 
 # The controls lie between these shares of the spacing off the predicted joint. Few sides get many controls
 # each, so that the p-values are fine enough.
@@ -156,9 +156,7 @@ def _ranked(support: Float[np.ndarray, "k n"], half_px: Float[np.ndarray, " n"])
     p = np.ones(len(half_px))
     order = np.argsort(half_px, kind="stable")
     for rows in np.array_split(order, max(1, min(SIZE_BINS, len(order) // BIN_AT_LEAST))):
-        beside = np.sort(support[1:, rows].ravel())
-        above = len(beside) - np.searchsorted(beside, support[0, rows], side="left")
-        p[rows] = (1 + above) / (1 + len(beside))
+        p[rows] = rank_p(support[0, rows], support[1:, rows].ravel())
     return p
 
 
