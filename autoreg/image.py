@@ -36,7 +36,7 @@ class Photo:
         turned: quarter turns clockwise that EXIF asked for, done in `gray` and `colour()`.
         mirrored: whether left and right were exchanged before turning, likewise.
         exif_focal_px: focal length in pixels by EXIF, or None.
-        exif_focal_note: how the focal length was found, or why there is none.
+        exif_focal_note: how that was found or why it is of no use; None if EXIF records no focal length.
     """
 
     gray: UInt8[np.ndarray, "h w"]
@@ -108,7 +108,7 @@ def load_photo(path: str | Path) -> Photo:
         )
     focal_px, note = focal_from_exif(exif, width, height)
     gray = _oriented(stored, exif.mirrored, exif.turned)
-    return Photo(gray, exif.turned, focal_px, note, exif.mirrored, data)
+    return Photo(gray, exif.turned, focal_px, note if exif.holds_focal else None, exif.mirrored, data)
 
 
 def pyramid(gray: UInt8[np.ndarray, "h w"], max_pixels: int) -> tuple[UInt8[np.ndarray, "hs ws"], PixelScale]:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from handmade import CAMERA, POSE, RUNNING, alignment, distorted, photo_for
+from PIL import Image
 from typer.testing import CliRunner
 
 import autoreg.align
@@ -230,6 +231,34 @@ def test_a_camera_reaches_the_pipeline_fitted_to_the_photo(photo, aligned):
     assert done.exit_code == 0, done.stderr
     assert (aligned["camera"].width, aligned["camera"].fx) == (640, 600)
     assert "scaled" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("recorded", "said"),
+    [
+        ({0xA405: 28}, "note: EXIF: 28 mm on 35 mm film is 518 px"),
+        ({0xA405: 28, 0xA002: 4000, 0xA003: 2000}, "4000 x 2000 but the file is 640 x 480: it was cropped"),
+        ({0x920A: 4.2}, "EXIF's focal length of 4.2 mm comes without a usable sensor size"),
+        ({}, None),
+    ],
+)
+@pytest.mark.parametrize("told", [False, True])
+def test_what_exif_says_of_the_focal_length_is_told_unless_a_camera_is_given(
+    photo, aligned, recorded, said, told
+):
+    exif = Image.Exif()
+    exif[0x0112] = 1
+    exif.get_ifd(0x8769).update(recorded)
+    Image.open(photo).save(photo, exif=exif)
+    Path("camera.json").write_text(
+        json.dumps({"width": 640, "height": 480, "fx": 600, "fy": 600, "cx": 320, "cy": 240, "dist": []})
+    )
+    done = run("align", photo, *(("--camera", "camera.json") if told else ()))
+    assert done.exit_code == 0, done.stderr
+    if said is None or told:
+        assert "EXIF" not in done.stderr
+    else:
+        assert said in done.stderr
 
 
 def test_a_contradicted_camera_is_said_loudly(photo, monkeypatch):

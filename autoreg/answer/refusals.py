@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from autoreg.errors import Refusal
 from autoreg.fitting.fit import Fit
-from autoreg.fitting.heavier_lines import HEAVIER, Heavier
+from autoreg.fitting.heavier_lines import HEAVIER, MOST_TIMES, Heavier
 from autoreg.ground.upright import FRONTAL_RAD, LEVEL_RAD, MAX_ROLL_RAD, like_upright_wall, roll_deg
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import RIVAL_NATS, TESTED_NATS, Paving
@@ -153,9 +153,10 @@ def maybe_grooves(heavier: Heavier) -> tuple[str, ...]:
 
 
 def _said_heavier(heavier: Heavier) -> str:
+    times = "many" if heavier.times >= MOST_TIMES else f"{heavier.times:.1f}"
     return (
-        f"one joint in {heavier.period} is {heavier.times:.1f} times as wide and dark as those between, "
-        "which may be grooves in the slabs"
+        f"one joint in {heavier.period} is {times} times as wide and dark as those between, which may be "
+        "grooves in the slabs"
     )
 
 

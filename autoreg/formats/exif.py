@@ -52,6 +52,11 @@ class Exif:
     maker: str | None = None
     model: str | None = None
 
+    @property
+    def holds_focal(self) -> bool:
+        """Whether any focal length is recorded, be it of use or not."""
+        return self.focal_35mm is not None or self.focal_mm is not None
+
 
 def read_exif(data: bytes) -> Exif:
     """The EXIF of a picture file's bytes; empty where there is none or it is broken."""
@@ -105,7 +110,7 @@ def focal_from_exif(exif: Exif, width: int, height: int) -> tuple[float | None, 
     FocalLengthIn35mmFilm is taken by its definition over the diagonal: f = f35 * diagonal / 43.27 mm.
     Without it, FocalLength and the sensor's pixel pitch give it for the recorded size, scaled to the file's.
     """
-    if exif.focal_35mm is None and exif.focal_mm is None:
+    if not exif.holds_focal:
         return None, "the photo's EXIF holds no focal length"
     recorded = (exif.pixel_width, exif.pixel_height)
     crop = _crop_note(recorded, width, height)

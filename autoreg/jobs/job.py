@@ -170,6 +170,8 @@ def _aligned(job: Job, scene: Scene, listener: Listener) -> Outcome:
     listener.doing("reading the photo")
     photo = load_photo(job.photo)
     camera = None if job.camera is None else told_camera(job.camera, job.crop, photo, listener.note)
+    if camera is None and photo.exif_focal_note is not None:
+        listener.note(photo.exif_focal_note)
     listener.doing("aligning")
     with ThreadPoolExecutor(1) as beside:
         # Decoded and looked at while jax is imported and the solver fetched.
