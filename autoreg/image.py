@@ -18,6 +18,7 @@ from jaxtyping import Float, UInt8
 
 from autoreg.errors import InputError
 from autoreg.formats.exif import focal_from_exif, read_exif, truncated
+from autoreg.formats.heic import can_decode_heic, heic_colour, is_heic
 
 MIN_SIDE_PX = 64
 # Pictures whose channels differ by less than this nearly everywhere are grey; every so many rows and columns
@@ -66,7 +67,7 @@ class Photo:
         picture = _decoded(_tiff_unturned(self._data), cv2.IMREAD_COLOR)
         if picture is None:
             raise InputError(f"the photo's colours cannot be decoded; save it as {_FORMATS}")
-        return _oriented(picture, self.mirrored, self.turned)
+        return _oriented(picture, self._data, self.mirrored, self.turned)
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def load_photo(path: str | Path) -> Photo:
             "give the original, not a thumbnail"
         )
     focal_px, note = focal_from_exif(exif, width, height)
-    gray = _oriented(stored, exif.mirrored, exif.turned)
+    gray = _oriented(stored, data, exif.mirrored, exif.turned)
     return Photo(gray, exif.turned, focal_px, note if exif.holds_focal else None, exif.mirrored, data)
 
 
@@ -196,6 +197,10 @@ def _bytes_of(path: Path) -> bytes:
 
 
 def _decode_gray(path: Path, data: bytes) -> UInt8[np.ndarray, "h w"]:
+    if is_heic(data) and not can_decode_heic():
+        raise InputError(
+            f"photo {path} is HEIC, which pillow-heif decodes: pip install it, or save as JPEG or PNG"
+        )
     # JPEG stores the luma by itself. Each other decoder weighs colours in a way of its own, as_gray in one.
     mode = cv2.IMREAD_GRAYSCALE if data.startswith(b"\xff\xd8") else cv2.IMREAD_ANYCOLOR
     try:
@@ -207,16 +212,16 @@ def _decode_gray(path: Path, data: bytes) -> UInt8[np.ndarray, "h w"]:
         ) from error
     if picture is not None:
         return as_gray(picture)
-    if data[4:12] in (b"ftypheic", b"ftypheix", b"ftypmif1", b"ftypmsf1", b"ftyphevc"):
-        raise InputError(f"photo {path} is HEIC, which OpenCV does not decode; save it as JPEG or PNG")
     stored = _decoded(data, cv2.IMREAD_UNCHANGED)
     if stored is not None:
         raise InputError(f"photo {path} has pixels of {stored.dtype}; save it with 8 or 16 bits per channel")
-    raise InputError(f"photo {path} is broken or no picture that OpenCV decodes; save it as {_FORMATS}")
+    raise InputError(f"photo {path} is broken or no picture that can be decoded; save it as {_FORMATS}")
 
 
 def _decoded(data: bytes, mode: int) -> np.ndarray | None:
-    """The picture as stored (no orientation applied), or None where OpenCV cannot decode it."""
+    """The picture as stored (no orientation applied; upright if it is HEIC), or None where that fails."""
+    if is_heic(data):
+        return heic_colour(data)
     with _quiet_opencv():
         # OpenCV's versions differ in the formats whose orientation they apply, so none may be.
         flags = mode | cv2.IMREAD_IGNORE_ORIENTATION
@@ -233,7 +238,10 @@ def _quiet_opencv() -> Generator[None]:
         cv2.utils.logging.setLogLevel(level)
 
 
-def _oriented(picture: np.ndarray, mirrored: bool, turned: int) -> np.ndarray:
+def _oriented(picture: np.ndarray, data: bytes, mirrored: bool, turned: int) -> np.ndarray:
+    """A decoded picture as its EXIF asks. What decodes HEIC has turned it so already."""
+    if is_heic(data):
+        return picture
     if mirrored:
         picture = picture[:, ::-1]
     return np.ascontiguousarray(np.rot90(picture, -turned))

@@ -33,3 +33,11 @@ def test_versions_of_what_results_rest_on_are_said(said, monkeypatch):
     monkeypatch.setattr(doctor, "_try_demo", lambda say: True)
     doctor.examine(said.append)
     assert {"python", "numpy", "jax"} <= {line.split()[0] for line in said}
+
+
+@pytest.mark.parametrize("installed", [False, True])
+def test_that_heic_is_not_read_is_said_with_the_way_to_read_it(said, monkeypatch, installed):
+    monkeypatch.setattr(doctor, "can_decode_heic", lambda: installed)
+    monkeypatch.setattr(doctor, "_try_demo", lambda say: True)
+    assert doctor.examine(said.append) is True
+    assert any("pip install pillow-heif" in line for line in said) is not installed

@@ -214,7 +214,7 @@ def test_a_png_with_a_wrong_check_sum_is_an_error(photo_of):
         (b"II*\0\xff\xff\xff\xff", "no picture"),
         (b"RIFF\x10\0\0\0WEBP", "no picture"),
         (bytes(1000), "no picture"),
-        (b"\0\0\0\x18ftypheic" + bytes(100), "HEIC.*JPEG"),
+        (b"\0\0\0\x18ftypheic" + bytes(100), "no picture"),
     ],
 )
 def test_what_is_no_picture_is_said_to_be_none(photo_of, data, cause, capfd):
@@ -242,7 +242,7 @@ def test_a_picture_larger_than_opencv_decodes_is_an_error(photo_of, size):
 
     header = chunk(b"IHDR", struct.pack(">IIBBBBB", *size, 8, 0, 0, 0, 0))
     data = b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b"")
-    with pytest.raises(InputError, match=r"cannot be decoded|no picture that OpenCV decodes"):
+    with pytest.raises(InputError, match=r"cannot be decoded|no picture that can be decoded"):
         photo_of(data)
 
 

@@ -25,7 +25,7 @@ from autoreg.image import as_gray, load_photo, pyramid
 Source = str | Path | np.ndarray
 Progress = Callable[[int, int], None]
 
-_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
+_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp", ".heic", ".heif")
 # `--pattern auto` looks at so many photos, reduced to so many pixels.
 _LOOKED_AT, _LOOKED_AT_PIXELS = 8, 1_000_000
 

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from autoreg.errors import AutoregError
+from autoreg.formats.heic import can_decode_heic
 from autoreg.jobs.job import Listener, demo_job, run_job
 from autoreg.jobs.report import versions
 from autoreg.rendering.povray import find_povray, povray_version
@@ -23,6 +24,8 @@ def examine(say: Callable[[str], None]) -> bool:
         say("               apt-get install povray, or brew install povray")
     else:
         say(f"POV-Ray        {povray_version(program)} ({program})")
+    if not can_decode_heic():
+        say("HEIC photos    are not read; to read them: pip install pillow-heif")
     return _try_demo(say)
 
 

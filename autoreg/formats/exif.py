@@ -9,6 +9,8 @@ import warnings
 import zlib
 from dataclasses import dataclass
 
+from autoreg.formats.heic import heic_exif, is_heic, is_turned
+
 _ORIENTATION, _FOCAL_MM, _FOCAL_35MM = 0x0112, 0x920A, 0xA405
 _F_NUMBER = 0x829D
 _MAKER, _MODEL = 0x010F, 0x0110
@@ -61,7 +63,7 @@ class Exif:
 def read_exif(data: bytes) -> Exif:
     """The EXIF of a picture file's bytes; empty where there is none or it is broken."""
     block = _exif_block(data)
-    if block is None and data.startswith((b"\xff\xd8", b"\x89PNG")):
+    if block is None and (data.startswith((b"\xff\xd8", b"\x89PNG")) or is_heic(data)):
         return Exif()
     # Where there is no EXIF, nothing need be imported to read it.
     from PIL import Image
@@ -82,6 +84,8 @@ def read_exif(data: bytes) -> Exif:
         # Pillow fails on broken EXIF in ways it does not list; a photo without EXIF is a photo all the same.
         return Exif()
     mirrored, turned = _TURNS.get(orientation, (False, 0)) if isinstance(orientation, int) else (False, 0)
+    if is_heic(data) and not is_turned(data):
+        mirrored, turned = False, 0
     resolution = _positive(details.get(_PLANE_X_RESOLUTION))
     unit = _MM_PER_UNIT.get(int(_positive(details.get(_PLANE_UNIT, 2)) or 0))
     return Exif(
@@ -188,7 +192,7 @@ def _positive(value: object) -> float | None:
 
 
 def _exif_block(data: bytes) -> bytes | None:
-    """The EXIF block of a JPEG, PNG or WebP file.
+    """The EXIF block of a JPEG, PNG, WebP or HEIC file.
 
     Pillow would decode a whole PNG to look for one, and refuses very large pictures.
     """
@@ -196,6 +200,8 @@ def _exif_block(data: bytes) -> bytes | None:
         return next((s[6:] for s in _jpeg_segments(data)[0] if s.startswith(b"Exif\0\0")), None)
     if data.startswith(b"\x89PNG"):
         return _png_chunks(data)[0]
+    if is_heic(data):
+        return heic_exif(data)
     if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
         at = 12
         while at + 8 <= len(data):
