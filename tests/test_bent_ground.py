@@ -15,6 +15,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.ground.points import on_ground, project_ground
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.image import as_gray
+from autoreg.numbering import numbered
 from autoreg.slabs.bent_ground import bend_of, motions_to
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 
@@ -87,6 +88,24 @@ def test_a_fit_over_bent_ground_tells_how_far_it_lies_off_its_plane_and_leans(st
     # Turns that lay the plane on the ground are about its own axes: none of them is about up.
     assert up @ found.spread[:3, :3] @ up == pytest.approx(0.0, abs=1e-12)
     assert np.trace(found.spread[:3, :3]) == pytest.approx(found.lean**2)
+
+
+@pytest.mark.parametrize("families", [(ALONG_X,), (ALONG_X, ALONG_Y)])
+def test_lines_that_lie_aside_and_askew_by_chance_are_hardly_ever_a_bend(
+    stack_fit: Fit, families: tuple[int]
+):
+    # By 3 mm, and by as much from end to end: they were taken for a bend in one of forty photos.
+    stations = stack_fit.stations
+    usable = stack_fit.usable & np.isin(stations.family, families)
+    line, names = numbered(stations.family, stations.line)
+    along = np.where(stations.family == ALONG_X, stations.ground[:, 0], stations.ground[:, 1])
+    bends = 0
+    for seed in range(300):
+        aside, askew = np.random.default_rng(seed).normal(0.0, 0.003, (2, len(names)))
+        off = aside[line] + askew[line] * along / np.abs(along).max()
+        off_px = off * stack_fit.profiles.px_per_unit
+        bends += bend_of(replace(stack_fit, usable=usable, distances_px=off_px)) is not None
+    assert bends <= 1
 
 
 def test_motions_to_the_ground_of_a_place_lay_the_plane_on_it(stack_fit: Fit):

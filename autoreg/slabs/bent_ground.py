@@ -23,8 +23,10 @@ from autoreg.spread import spread_about
 # A bend that joints in a plane show more often than this by chance is none, nor is one by which the ground
 # leans less: of drawn planes the joints' relief imitates one by a hundredth of a degree or two.
 BY_CHANCE, LEAST_LEAN = 1e-4, np.radians(0.1)
-# Factors of a quadratic function; joints of fewer lines than this beyond these tell no bend.
-FACTORS, SPARE_LINES = 3, 4
+# Factors of a quadratic function; with fewer degrees of freedom to judge them by there is no bend.
+FACTORS, FEWEST_SPARE = 3, 2
+# A line tells two numbers: where it lies, and how it runs.
+TOLD_BY_LINE = 2
 # Rounds of reweighted least squares.
 ROUNDS = 6
 # What joints tell by less than this share of what they tell best they do not tell.
@@ -56,8 +58,11 @@ def bend_of(fit: Fit) -> Bend | None:
     rows, free = np.flatnonzero(fit.usable), np.flatnonzero(fit.free.mask)
     stations, pose = fit.stations.take(rows), fit.cam_from_ground
     line, names = numbered(stations.family, stations.line)
-    spare = len(names) - FACTORS
-    if fit.free.focal or spare < SPARE_LINES:
+    # Those of the covariance, by the lines that are left when the others tell the pose (Hotelling, Ann. Math.
+    # Stat. 2, 1931).
+    of_lines = len(names) - 1 - len(free) // TOLD_BY_LINE
+    spare = of_lines - FACTORS + 1
+    if fit.free.focal or spare < FEWEST_SPARE:
         return None
     ground, jacobian = stations.ground, fit.solution.jacobian[rows]
     quadric = Quadric.over(ground)
@@ -65,8 +70,8 @@ def bend_of(fit: Fit) -> Bend | None:
     rise = (jacobian[:, TRANSLATION] @ pose.R[:, 2])[:, None] * quadric.shapes(ground)
     told, covariance = _laid(np.column_stack([jacobian[:, free], rise]), fit.distances_px[rows], line)
     factors, of_factors = told[len(free) :], covariance[len(free) :, len(free) :]
-    surprise = float(factors @ np.linalg.pinv(of_factors, SINGULAR, hermitian=True) @ factors) / FACTORS
-    if fdtrc(FACTORS, spare, surprise) > BY_CHANCE:
+    squared = float(factors @ np.linalg.pinv(of_factors, SINGULAR, hermitian=True) @ factors)
+    if fdtrc(FACTORS, spare, squared * spare / (FACTORS * of_lines)) > BY_CHANCE:
         return None
     motion = np.zeros(jacobian.shape[1])
     motion[free] = told[: len(free)]
@@ -100,8 +105,8 @@ def _laid(
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p p"]]:
     """What lays the joints on their lines, and its covariance, where stations of one line may be off alike.
 
-    By reweighted least squares; the covariance is the sandwich of the lines' sums (Liang and Zeger,
-    Biometrika 73, 1986).
+    By reweighted least squares; the covariance is the jackknife's, from what they are without each line (Bell
+    and McCaffrey, Survey Methodology 28, 2002). That of the lines' own sums is too small for a few lines.
     """
     unit = np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     columns = columns / unit
@@ -111,8 +116,10 @@ def _laid(
         told = np.linalg.lstsq(columns * root[:, None], -off * root, rcond=SINGULAR)[0]
         left = off + columns @ told
         weight = 1.0 / (1.0 + (left / (CAUCHY_SIGMAS * spread_about(left) + 1e-12)) ** 2)
-    inverse = np.linalg.pinv((columns * weight[:, None]).T @ columns, SINGULAR**2, hermitian=True)
-    sums = np.zeros((int(line.max()) + 1, len(unit)))
-    np.add.at(sums, line, columns * (weight * left)[:, None])
-    covariance = inverse @ (sums.T @ sums) @ inverse * len(sums) / (len(sums) - 1)
+    weighted, members = columns * weight[:, None], [line == k for k in range(int(line.max()) + 1)]
+    pull = np.stack([left[rows] @ weighted[rows] for rows in members])
+    normal = np.stack([weighted[rows].T @ columns[rows] for rows in members])
+    without = np.linalg.pinv(normal.sum(0) - normal, SINGULAR**2, hermitian=True)
+    moved = (without @ pull[:, :, None])[:, :, 0]
+    covariance = moved.T @ moved * (1.0 - 1.0 / len(members))
     return told / unit, covariance / np.outer(unit, unit)
