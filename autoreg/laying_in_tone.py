@@ -59,7 +59,8 @@ def _of_told_slabs(task: Task, refusal: Refusal) -> tuple[Task, Laid]:
     """Slabs of the told sides, and the photo in a tone that shows them, where luminance shows other ones.
 
     Raises:
-        Refusal: there are none; that the camera is to blame, or else the `refusal` for the slab.
+        Refusal: there are none; that the camera is to blame, that what is there are no slabs of any sides, or
+            else the `refusal` for the slab.
     """
     blamed = camera_to_blame(task, slab=task.slab)
     if blamed is not None:
@@ -67,7 +68,8 @@ def _of_told_slabs(task: Task, refusal: Refusal) -> tuple[Task, Laid]:
     try:
         other = lay(replace(task, slab=None))
     except Refusal as own:
-        raise (own if own.code == "camera_contradicted" else refusal) from None
+        better = own.code == "camera_contradicted" or isinstance(own, PatternRefusal)
+        raise (own if better else refusal) from None
     told = _slabs_in_joint_tone(task, other)
     if told is None:
         raise _against_camera(task, other) or refusal from None

@@ -12,6 +12,7 @@ from paved import CAMERA, CHECKER, STACK, fit_of
 from autoreg import laying, laying_in_tone
 from autoreg.align import align
 from autoreg.answer.full_resolution import Laid
+from autoreg.answer.pattern_refusals import PatternRefusal
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.fitting.bare_steps import across_slope
@@ -112,6 +113,25 @@ def test_a_told_slab_that_luminance_does_not_show_is_looked_for_in_the_tone_of_t
     with pytest.raises(Refusal) as refused:
         align(as_gray(sandy.pixels), sandy.camera, slab=(0.6, 0.4))
     assert refused.value is unlike
+
+
+@pytest.mark.parametrize("pattern", [False, True])
+def test_what_is_a_pattern_of_stones_is_called_so_whatever_slab_is_told(
+    sandy: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch, pattern: bool
+):
+    # As of herringbone, parts of whose pattern lie as long slabs would.
+    unlike = Refusal("slab_mismatch", "the slabs in this photo have sides in another ratio")
+    kind = PatternRefusal if pattern else Refusal
+    own = kind("no_lattice", "what repeats here as slabs would is full of joints itself")
+
+    def refuse(task: Task, *, thorough: bool = True) -> Laid:
+        raise own if task.slab is None else unlike
+
+    monkeypatch.setattr(laying_in_tone, "lay", refuse)
+    monkeypatch.setattr(laying_in_tone, "camera_to_blame", lambda *_, **__: None)
+    with pytest.raises(Refusal) as refused:
+        align(sandy.pixels, sandy.camera, slab=(0.6, 0.4))
+    assert refused.value is (own if pattern else unlike)
 
 
 @pytest.mark.parametrize(("focal_off", "code"), [(0.75, "camera_contradicted"), (1.0, "slab_mismatch")])
