@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from autoreg.ground.bond_shift import nearest_customary
 from autoreg.ground.rectify import Family, Rectified, line_support
 from autoreg.ground.sides import Grid
-from autoreg.paving.periods import MIN_STEP, PHASES, Comb, best_combs, blurred, local_z, log_likelihood_ratio
+from autoreg.paving.periods import MIN_STEP, PHASES, Comb, best_combs, blurred, line_llr, local_z
 
 # Cross joints are judged clear of the unbroken joints that end them.
 MARGIN = 0.12
@@ -89,7 +89,7 @@ def course_support(family: Family, comb: Comb) -> Courses:
         profile = (support * counted).sum(1) / np.maximum(counted.sum(1), 1)
         z = local_z(profile, valid, max(40, len(profile) // 4))
         kept.append(float(course))
-        llr.append(np.where(valid, blurred(log_likelihood_ratio(z)), 0.0))
+        llr.append(np.where(valid, blurred(line_llr(z, valid)), 0.0))
         seen.append(valid)
         zs.append(np.where(valid, z, 0.0))
     n = len(family.offset)
