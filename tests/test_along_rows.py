@@ -51,6 +51,28 @@ def test_edges_of_the_rows_joints_speak_for_them(rows_fit: Fit):
     assert not said.contradict
 
 
+@pytest.mark.parametrize(("blur_px", "speak_for"), [(3.5, True), (0.5, False)])
+def test_edges_lie_as_far_from_their_joints_as_these_are_blurred(
+    rows_fit: Fit, blur_px: float, speak_for: bool
+):
+    # Far away a row is thirty pixels wide, and five are more than an eighth of that.
+    fit = replace(rows_fit, strip=replace(rows_fit.strip, blur_px=blur_px))
+    edges = on_joints(places(np.random.default_rng(5), [-0.5, 2.6], [0.5, 3.0]))
+    field = np.array([[-0.6, 2.4], [0.6, 2.4], [0.6, 3.2], [-0.6, 3.2]])
+    segments = segments_at(fit, edges)
+    segments = replace(segments, ends_px=segments.ends_px + np.array([0.0, 5.0]))
+    size = (fit.camera.width, fit.camera.height)
+    said = along_rows(segments, np.full(len(segments), 20.0), fit, field, size)
+    assert said.contradict is not speak_for
+
+
+def test_rows_of_a_few_blurs_do_not_tell_what_lies_on_their_joints(rows_fit: Fit):
+    anywhere = segments_at(rows_fit, places(np.random.default_rng(1), [-0.5, 1.0], [0.5, 2.0]))
+    assert said_of(rows_fit, anywhere).contradict
+    soft = replace(rows_fit, strip=replace(rows_fit.strip, blur_px=40.0))
+    assert not said_of(soft, anywhere).contradict
+
+
 def test_courses_that_lie_elsewhere_in_the_field_speak_against_its_rows(rows_fit: Fit):
     anywhere = places(np.random.default_rng(1), [-0.5, 1.0], [0.5, 2.0])
     said = said_of(rows_fit, segments_at(rows_fit, anywhere))

@@ -47,15 +47,22 @@ def blank() -> np.ndarray:
     return np.clip(rng.normal(SLAB, 4.0, (size, size)), 0, 255).astype(np.uint8)
 
 
-def ashlar(across_m: float, lengths: tuple[float, float] = (0.7, 2.2)) -> np.ndarray:
+def ashlar(
+    across_m: float,
+    lengths: tuple[float, float] = (0.7, 2.2),
+    *,
+    joint_px: int = 3,
+    joint: int = JOINT,
+    ground: np.ndarray | None = None,
+) -> np.ndarray:
     """Unbroken joints at an even spacing, slabs of random length, in widths of a row, between them."""
-    rng, picture = np.random.default_rng(1), blank()
-    step, size = round(across_m * PX_PER_M), blank().shape[0]
+    rng, picture = np.random.default_rng(1), blank() if ground is None else ground.copy()
+    step, size = round(across_m * PX_PER_M), picture.shape[0]
     for y in range(0, size, step):
-        picture[y : y + 3] = JOINT
+        picture[y : y + joint_px] = joint
         x = 0
         while x < size:
-            picture[y : y + step, x : x + 3] = JOINT
+            picture[y : y + step, x : x + joint_px] = joint
             x += round(rng.uniform(*lengths) * step)
     return picture
 
@@ -95,6 +102,20 @@ def test_random_ashlar_tells_the_spacing_of_its_unbroken_joints_and_the_ground(a
     assert fit.grid.spacing_y / height == pytest.approx(0.3 / 1.6, rel=0.01)
     up = float(fit.cam_from_ground.R[:, 2] @ STACK.cam_from_ground.R[:, 2])
     assert np.rad2deg(np.arccos(np.clip(up, -1, 1))) < 0.5
+
+
+@pytest.mark.parametrize("joint", [100, 190])
+def test_rows_between_joints_as_wide_as_a_quarter_of_them_are_found_by_both_edges(joint: int):
+    # Of smooth slabs a narrow strip along one edge fits as well; the other edge spoke against it.
+    smooth = np.full_like(blank(), SLAB)
+    rows, _, _ = rows_in(seen_from_the_camera(ashlar(0.3, joint_px=12, joint=joint, ground=smooth)))
+    assert rows is not None
+    assert rows.margin_nats > 0
+    fit = rows.paving.fit
+    assert fit.strip.width[0] == pytest.approx(0.25 * fit.grid.spacing_y, rel=0.15)
+    assert fit.strip.polarity[0] == np.sign(joint - SLAB)
+    up = float(fit.cam_from_ground.R[:, 2] @ STACK.cam_from_ground.R[:, 2])
+    assert np.rad2deg(np.arccos(np.clip(up, -1, 1))) < 0.1
 
 
 def test_all_rows_in_view_are_evidence_for_them(ashlar_rows: Rows):

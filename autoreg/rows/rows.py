@@ -13,12 +13,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from autoreg.fitting.fit import Fit
+from autoreg.fitting.one_edge import with_both_edges
 from autoreg.geometry import Rigid
 from autoreg.ground.ground_frame import turned, with_origin
 from autoreg.ground.sides import ALONG_X, Grid
 from autoreg.paving.bond import FALSE_ALARM_NATS
 from autoreg.paving.lattice_evidence import TESTED_NATS, Paving, line_evidence
-from autoreg.paving.lay import fit_outwards, refine_in_field
+from autoreg.paving.lay import FIELD_REACH, fit_outwards, refine_in_field
 from autoreg.paving.patterns import true_sides
 from autoreg.paving.plane_combs import PlaneCombs
 from autoreg.paving.presence import Presence
@@ -95,7 +96,8 @@ def _fit_rows(picture: np.ndarray, plane: PlaneCombs, start: Rigid, grid: Grid) 
             return None
         pattern = true_sides(presence, ALONG_X)
         if pattern.period == 1 or pattern.advance:
-            return refine_in_field(picture, fit, presence.field)
+            within = refine_in_field(picture, fit, presence.field)
+            return with_both_edges(picture, within, reach=FIELD_REACH, field=presence.field)
         # The lines between the joints have led that fit astray.
         start = with_origin(start, 0.0, pattern.phase * grid.spacing_y)
         grid = Grid(None, grid.spacing_y * pattern.period)
