@@ -221,7 +221,8 @@ def _decode_gray(path: Path, data: bytes) -> UInt8[np.ndarray, "h w"]:
 def _decoded(data: bytes, mode: int) -> np.ndarray | None:
     """The picture as stored (no orientation applied; upright if it is HEIC), or None where that fails."""
     if is_heic(data):
-        return heic_colour(data)
+        colour = heic_colour(data)
+        return None if colour is None else _in_eight_bits(colour)
     with _quiet_opencv():
         # OpenCV's versions differ in the formats whose orientation they apply, so none may be.
         flags = mode | cv2.IMREAD_IGNORE_ORIENTATION

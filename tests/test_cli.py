@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from handmade import CAMERA, POSE, RUNNING, alignment, distorted, photo_for
 from PIL import Image
+from test_image import exif_with
 from typer.testing import CliRunner
 
 import autoreg.align
@@ -236,9 +237,12 @@ def test_a_camera_reaches_the_pipeline_fitted_to_the_photo(photo, aligned):
 @pytest.mark.parametrize(
     ("recorded", "said"),
     [
-        ({0xA405: 28}, "note: EXIF: 28 mm on 35 mm film is 518 px"),
-        ({0xA405: 28, 0xA002: 4000, 0xA003: 2000}, "4000 x 2000 but the file is 640 x 480: it was cropped"),
-        ({0x920A: 4.2}, "EXIF's focal length of 4.2 mm comes without a usable sensor size"),
+        ({"FOCAL_35": 28}, "note: EXIF: 28 mm on 35 mm film is 518 px"),
+        (
+            {"FOCAL_35": 28, "PIXELS_X": 4000, "PIXELS_Y": 2000},
+            "4000 x 2000 but the file is 640 x 480: it was cropped",
+        ),
+        ({"FOCAL": 4.2}, "EXIF's focal length of 4.2 mm comes without a usable sensor size"),
         ({}, None),
     ],
 )
@@ -246,10 +250,7 @@ def test_a_camera_reaches_the_pipeline_fitted_to_the_photo(photo, aligned):
 def test_what_exif_says_of_the_focal_length_is_told_unless_a_camera_is_given(
     photo, aligned, recorded, said, told
 ):
-    exif = Image.Exif()
-    exif[0x0112] = 1
-    exif.get_ifd(0x8769).update(recorded)
-    Image.open(photo).save(photo, exif=exif)
+    Image.open(photo).save(photo, exif=exif_with(1, **recorded))
     Path("camera.json").write_text(
         json.dumps({"width": 640, "height": 480, "fx": 600, "fy": 600, "cx": 320, "cy": 240, "dist": []})
     )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import io
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import UInt8, UInt16
 
 _BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1")
 # Boxes that turn the stored picture, and exchange its left and right.
@@ -29,19 +30,11 @@ def is_turned(data: bytes) -> bool:
     return any(box in data for box in _TURNING)
 
 
-def heic_colour(data: bytes) -> UInt8[np.ndarray, "h w 3"] | None:
-    """The picture, upright, in BGR; None where it cannot be decoded."""
-    opened = _opened(data)
-    try:
-        picture = None if opened is None else np.asarray(opened)
-    except Exception:
-        # The file is looked at as it is opened, and decoded here: libheif fails on broken ones in many ways.
-        return None
+def heic_colour(data: bytes) -> UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"] | None:
+    """The picture, upright, in BGR of 8 or 16 bits; None where it cannot be decoded."""
+    picture = _of_file(data, np.asarray)
     if picture is None:
         return None
-    if picture.dtype == np.uint16:
-        # Colours of more bits come reduced to eight, grey does not.
-        picture = np.round(picture / 257.0).astype(np.uint8)
     channels = picture.reshape(*picture.shape[:2], -1)
     grey = channels.shape[2] < 3
     return np.ascontiguousarray(channels[:, :, [0, 0, 0] if grey else [0, 1, 2]])
@@ -49,17 +42,18 @@ def heic_colour(data: bytes) -> UInt8[np.ndarray, "h w 3"] | None:
 
 def heic_exif(data: bytes) -> bytes | None:
     """The EXIF block, or None where there is none that can be read."""
-    opened = _opened(data)
-    block = None if opened is None else opened.info.get("exif")
+    block = _of_file(data, lambda opened: opened.info.get("exif"))
     return block.removeprefix(b"Exif\0\0") if isinstance(block, bytes) else None
 
 
-def _opened(data: bytes) -> Any:
+def _of_file(data: bytes, read: Callable[[Any], Any]) -> Any:
+    """What is read of an opened file; None where that fails."""
     if not can_decode_heic():
         return None
     from pillow_heif import open_heif
 
     try:
-        return open_heif(io.BytesIO(data), bgr_mode=True)
+        return read(open_heif(io.BytesIO(data), bgr_mode=True))
     except Exception:
+        # libheif fails on broken files in many ways, as they are opened or only as they are decoded.
         return None

@@ -68,19 +68,14 @@ def along_rows(
     along, middle = ground[:, 1] - ground[:, 0], ground.mean(1)
     with np.errstate(invalid="ignore"):
         chosen = np.abs(along[:, 1]) < np.tan(ALONG_RAD) * np.abs(along[:, 0])
+    middle, length, contrast = middle[chosen], segments.length_px[chosen], contrast[chosen]
     blur_px = fit.strip.blur_px * size[0] / fit.camera.width
     blur = blur_px / np.maximum(_row_px(camera, fit, middle), 1e-9)
     # Of rows that are a few blurs wide, far away, it cannot be said what lies on their joints.
-    chosen &= blur < MOST_ON_JOINT - ON_EDGE
-    middle, length, contrast, blur = (
-        middle[chosen],
-        segments.length_px[chosen],
-        contrast[chosen],
-        blur[chosen],
-    )
+    sharp = blur < MOST_ON_JOINT - ON_EDGE
     row = middle[:, 1] / fit.grid.spacing_y
     off = np.abs(row - np.round(row))
-    inside, around = (inside_box(middle, field, margin) for margin in (0.0, AROUND))
+    inside, around = (inside_box(middle, field, margin) & sharp for margin in (0.0, AROUND))
     half = 0.5 * fit.strip.width[0] / fit.grid.spacing_y
     near = np.clip(np.hypot(half, blur) + ON_EDGE, ON_JOINT, MOST_ON_JOINT)
     of_joints = contrast[inside & (off < near)]
