@@ -39,6 +39,18 @@ def test_nothing_found_is_no_lattice():
     assert refusal.limit == pytest.approx(TESTED_NATS + FALSE_ALARM_NATS, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("crossing", "told"), [((0.6, 0.3), True), ((0.3, 0.1), False), ((0.75, 0.05), False)]
+)
+def test_joints_at_right_angles_without_an_even_spacing_are_told_of(
+    crossing: tuple[float, float], told: bool
+):
+    refusal = no_lattice(None, None, crossing=crossing)
+    assert (refusal.code, refusal.measured) == ("no_lattice", 0.0)
+    assert ("90 % of the edges" in refusal.message and "several sizes" in refusal.message) == told
+    assert ("better than chance" in refusal.message) != told
+
+
 def test_evidence_in_one_family_alone_is_one_direction(paving: Paving):
     refusal = no_lattice(replace(paving, evidence_nats=(60.0, 2.0)), None)
     assert (refusal.code, refusal.measured) == ("one_direction", 2.0)

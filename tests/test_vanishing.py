@@ -15,7 +15,12 @@ from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.geometry import angle_between_rotations
 from autoreg.ground.directions import LAYING_SPREAD_RAD
-from autoreg.ground.ground_planes import ground_planes, ground_planes_unknown_focal, grounds_along
+from autoreg.ground.ground_planes import (
+    ground_planes,
+    ground_planes_unknown_focal,
+    grounds_along,
+    shares_at_right_angles,
+)
 from autoreg.segments import Segments, detect_segments
 from autoreg.synthetic import look_at_ground
 from autoreg.vanishing import manhattan_frame
@@ -192,6 +197,18 @@ def test_where_next_to_all_edges_run_one_way_all_grounds_along_it_are_told():
     others = as_segments(clutter(CAMERA, 400, 5))
     assert len(grounds_along(others, CAMERA, least_share=0.5, step_rad=step)) == 0
     assert len(grounds_along(as_segments(np.zeros((0, 2, 2))), CAMERA, least_share=0.5, step_rad=step)) == 0
+
+
+@pytest.mark.parametrize("camera", [CAMERA, None])
+def test_edges_at_right_angles_are_told_from_strewn_ones_whatever_their_spacing(camera: Camera | None):
+    joints, size = floor_lines(CAMERA, looking(40.0, 25.0)), (CAMERA.width, CAMERA.height)
+    uneven = np.random.default_rng(3).permutation(len(joints))[: len(joints) // 2]
+    larger, rarer = shares_at_right_angles(as_segments(joints[uneven]), *size, camera)
+    assert larger >= rarer > 0.2
+    assert larger + rarer > 0.9
+    strewn = as_segments(clutter(CAMERA, 400, 5))
+    assert sum(shares_at_right_angles(strewn, *size, camera)) < 0.4
+    assert shares_at_right_angles(as_segments(np.zeros((0, 2, 2))), *size, camera) == (0.0, 0.0)
 
 
 def test_plus_y_points_away_from_the_camera_and_z_up():

@@ -28,6 +28,10 @@ DOUBTFUL_NATS, MOST_OF_DOUBTFUL = 10.0, 0.3
 LEAST_LEVELS = 3.0
 # Edges of which more than this share runs in one direction are of no joints in two.
 ONE_WAY = 0.9
+# Edges of which more than the first share runs in two directions at right angles, and more than the second in
+# the rarer of them, are those of joints: of pavings that are refused up to 0.9 do, of gravel, cobbles, setts,
+# books and facades less than 0.4.
+CROSSING, RARER = 0.55, 0.12
 
 
 def without_contrast(levels: float) -> Refusal | None:
@@ -43,10 +47,16 @@ def without_contrast(levels: float) -> Refusal | None:
     )
 
 
-def no_lattice(best: Paving | None, rows: Rows | None, one_way: float = 0.0) -> Refusal:
+def no_lattice(
+    best: Paving | None,
+    rows: Rows | None,
+    one_way: float = 0.0,
+    crossing: tuple[float, float] = (0.0, 0.0),
+) -> Refusal:
     """The refusal of a photo whose best lattice, and whose best rows, explain it no better than chance.
 
-    `one_way` is the share of all segments' length that runs in one direction, where that was looked at.
+    `one_way` is the share of all segments' length that runs in one direction, `crossing` those that run in
+    two directions at right angles, the larger one first, where that was looked at.
     """
     families = [(0.0, 0.0, 0.0)]
     if best is not None:
@@ -79,14 +89,19 @@ def no_lattice(best: Paving | None, rows: Rows | None, one_way: float = 0.0) -> 
             measured=round(evidence, 2),
             limit=round(TESTED_NATS + FALSE_ALARM_NATS, 2),
         )
-    return Refusal(
-        "no_lattice",
-        "no lattice of slabs explains this picture better than chance (evidence in nats, against what as "
-        "many tried lattices reach by luck once in a thousand photos); take a photo in which two or more "
-        "rows of slabs and their cross joints are clearly seen",
-        measured=round(evidence, 2),
-        limit=round(TESTED_NATS + FALSE_ALARM_NATS, 2),
+    nats = "evidence in nats, against what as many tried lattices reach by luck once in a thousand photos"
+    said = (
+        f"no lattice of slabs explains this picture better than chance ({nats}); take a photo in which two "
+        "or more rows of slabs and their cross joints are clearly seen"
     )
+    if sum(crossing) > CROSSING and crossing[1] > RARER:
+        said = (
+            f"{100 * sum(crossing):.0f} % of the edges in this picture run in two directions at right angles "
+            "as joints do, but no even spacing explains them: slabs may be of several sizes, or courses of "
+            f"several widths ({nats}); photograph slabs of one size, or rows of one width"
+        )
+    limit = round(TESTED_NATS + FALSE_ALARM_NATS, 2)
+    return Refusal("no_lattice", said, measured=round(evidence, 2), limit=limit)
 
 
 def not_measured(sides: int) -> Refusal:
@@ -94,8 +109,8 @@ def not_measured(sides: int) -> Refusal:
     return Refusal(
         "no_lattice",
         f"what looks like {sides} sides of slabs where the picture is made smaller cannot be measured as "
-        "joints at the photo's own resolution; take a sharper photo, in which two or more rows of slabs and "
-        "their cross joints are clearly seen",
+        "joints at the photo's own resolution, as where slabs are of several sizes; photograph two or more "
+        "rows of slabs of one size, and more sharply",
     )
 
 

@@ -116,6 +116,24 @@ def ground_planes_unknown_focal(
     return tuple((_hypothesis(found, k, scale), float(focal_px[k])) for k in range(len(found.score)))
 
 
+def shares_at_right_angles(
+    segments: Segments, width: int, height: int, camera: Camera | None
+) -> tuple[float, float]:
+    """Shares of the segments' length along both directions of the likeliest ground, the larger one first.
+
+    By a focal length of the photo's own where there is no camera; zero where nothing supports any ground.
+    """
+    if camera is not None:
+        found = ground_planes(segments, camera, max_hypotheses=1)
+    else:
+        guessed = ground_planes_unknown_focal(segments, width, height, max_hypotheses=1)
+        found = tuple(ground for ground, _ in guessed)
+    if not found:
+        return 0.0, 0.0
+    rarer, larger = np.sort(found[0].support_px / segments.length_px.sum()).tolist()
+    return larger, rarer
+
+
 def grounds_along(
     segments: Segments, camera: Camera, *, least_share: float, step_rad: float
 ) -> Float[np.ndarray, "k 3 3"]:

@@ -12,6 +12,7 @@ from autoreg.answer.refusals import ambiguous, no_lattice, without_contrast
 from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.directions import camera_rays, strongest_share
+from autoreg.ground.ground_planes import shares_at_right_angles
 from autoreg.ground.sight import Looks, Sight
 from autoreg.ground.upright import LED_RAD, possible_up
 from autoreg.paving.lattice_choice import suited
@@ -46,7 +47,7 @@ from autoreg.solve.freedom import Free
 FEW_STARTS = 2
 # A lattice with less than this is hardly better than chance: what more grounds show may be far better.
 HARDLY_NATS = 10.0
-# Fewer segments than this do not tell that all run in one direction.
+# Fewer segments than this do not tell in what directions most run.
 FEWEST_SEGMENTS = 20
 
 
@@ -264,9 +265,10 @@ def _no_paving(
     plain = without_contrast(float(np.ptp(np.percentile(sight.looks.picture, (1.0, 99.0)))))
     if plain is not None:
         return plain
-    one_way = 0.0
+    one_way, crossing = 0.0, (0.0, 0.0)
     if len(sight.segments) >= FEWEST_SEGMENTS:
         # How many edges run in one direction is about the same by any focal length.
         usual = camera or Camera.from_focal(*sight.size, float(max(sight.size)))
         one_way = strongest_share(camera_rays(sight.segments, usual))
-    return no_lattice(rejected[0] if rejected else None, clearest_alone(fields), one_way)
+        crossing = shares_at_right_angles(sight.segments, *sight.size, camera)
+    return no_lattice(rejected[0] if rejected else None, clearest_alone(fields), one_way, crossing)
