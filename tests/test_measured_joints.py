@@ -275,7 +275,7 @@ def test_joints_that_are_nothing_but_blur_may_lie_off_farther_together():
 def test_motion_and_likelihood_are_those_of_a_dense_solution_with_all_effects_means(widths: bool):
     fit = fitted()
     free, rows = Free(), np.flatnonzero(fit.usable)[::7]
-    prior, sizes = free.prior(fit.camera), Sizes(0.0006, 0.25, 0.3, 0.5, together=1.0)
+    prior, sizes = free.prior(fit.camera), Sizes(0.0006, 0.25, 0.3, 0.5, together=1.0, drift=0.7)
     model = SlabEquations(fit, free.mask, prior, 0.0, rows, widths)
     model.factor(sizes)
     p = len(model.free)
@@ -290,6 +290,7 @@ def test_motion_and_likelihood_are_those_of_a_dense_solution_with_all_effects_me
                 (model.relief, relief),
                 (model.common, together),
                 (model.course, sizes.place * sizes.course),
+                (model.drift, sizes.place * sizes.drift),
             ):
                 size[p:][mask] = own
             X = model.columns[:, :-1] * size

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,6 +171,25 @@ def test_the_cross_joints_of_rows_lean_as_asked_about_their_middles():
         assert steps[int(np.argmax(alike))] == pytest.approx(0.2 * away * scene.camera.fx / 2.0, abs=1.0)
 
 
+def test_courses_drift_together_with_their_neighbours():
+    drift_m = 0.002
+    scene = replace(PLAIN, course_drift_m=drift_m, seed=1, blur_px=0.0, samples=3)
+    photo = render_paving(scene)
+    middles = joint_middles(photo, along_x=True)
+    offsets = joint_offsets_px(photo, middles, along_x=True)
+    away = photo.project(middles + np.array([0.0, 0.001])) - photo.project(middles)
+    offsets_m = 0.001 * offsets / np.linalg.norm(away, axis=1)
+    line = np.round(middles[:, 1] / scene.spacing_m[1]).astype(int)
+    of_line = {k: offsets_m[line == k] for k in np.unique(line)}
+    # All of a course goes with it.
+    assert max(np.std(own) for own in of_line.values()) < 0.3 * drift_m
+    places = np.array([own.mean() for own in of_line.values()])
+    steps = np.std(np.diff(places))
+    assert 0.2 * drift_m < steps < 1.5 * drift_m
+    # It adds up to more than a step.
+    assert np.sqrt(np.mean(places**2)) > 1.5 * steps
+
+
 def test_rows_have_no_crossings_to_ask_for():
     with pytest.raises(ValueError, match="period along X and Y"):
         render_paving(replace(PLAIN, kind="rows")).crossings()
@@ -181,9 +201,11 @@ def test_rows_have_no_crossings_to_ask_for():
         ({"jitter_m": 0.003}, "jitter_m"),
         ({"joint_width_m": 0.5}, "joint_width_m"),
         ({"samples": 0}, "samples"),
+        ({"course_drift_m": 0.003}, "course_drift_m"),
+        ({"course_drift_m": 0.001, "kind": "rows"}, "course_drift_m"),
     ],
 )
-def test_a_scene_that_cannot_be_drawn_is_rejected_by_name(change: dict[str, float], word: str):
+def test_a_scene_that_cannot_be_drawn_is_rejected_by_name(change: dict[str, Any], word: str):
     with pytest.raises(ValueError, match=word):
         replace(SyntheticScene(), **change)  # type: ignore[arg-type]
 

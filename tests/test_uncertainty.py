@@ -45,8 +45,18 @@ BOND = replace(SCENE, spacing_m=(0.6, 0.3), shift=0.5)
 
 
 @cache
-def picture(jitter_m: float, seed: int, course_jitter_m: float = 0.0) -> np.ndarray:
-    photo = render_paving(replace(SCENE, jitter_m=jitter_m, course_jitter_m=course_jitter_m, seed=seed))
+def picture(
+    jitter_m: float, seed: int, course_jitter_m: float = 0.0, course_drift_m: float = 0.0
+) -> np.ndarray:
+    photo = render_paving(
+        replace(
+            SCENE,
+            jitter_m=jitter_m,
+            course_jitter_m=course_jitter_m,
+            course_drift_m=course_drift_m,
+            seed=seed,
+        )
+    )
     return as_gray(photo.pixels).astype(np.float32)
 
 
@@ -65,8 +75,14 @@ def fit_to(gray: np.ndarray, grid: Grid, focal: float) -> Fit:
 
 
 @cache
-def fitted(jitter_m: float, seed: int, focal: float = 1.0, course_jitter_m: float = 0.0) -> Fit:
-    return fit_to(picture(jitter_m, seed, course_jitter_m), Grid(0.4, 0.4), focal)
+def fitted(
+    jitter_m: float,
+    seed: int,
+    focal: float = 1.0,
+    course_jitter_m: float = 0.0,
+    course_drift_m: float = 0.0,
+) -> Fit:
+    return fit_to(picture(jitter_m, seed, course_jitter_m, course_drift_m), Grid(0.4, 0.4), focal)
 
 
 @cache
@@ -141,6 +157,15 @@ def test_courses_that_lie_aside_are_told_from_slabs_that_do() -> None:
     assert single.place == pytest.approx(0.002, rel=0.5)
 
 
+def test_courses_that_drift_are_told_from_those_that_lie_aside_by_themselves() -> None:
+    drifting = settle(fitted(0.0003, 1, course_drift_m=0.002)).scatter
+    single = settle(fitted(0.0003, 1, course_jitter_m=0.002)).scatter
+    assert 0.0005 < drifting.drift < 0.004
+    assert drifting.aside >= drifting.drift
+    assert settle(fitted(0.0, 0)).scatter.drift < 0.0002
+    assert single.drift < drifting.drift
+
+
 def pose_error(settled: Settled) -> float:
     """Normalised squared error of a settled pose."""
     error = np.r_[turned_off(settled.fit), settled.fit.cam_from_ground.t - SCENE.cam_from_ground.t]
@@ -151,6 +176,13 @@ def pose_error(settled: Settled) -> float:
 def test_the_truth_lies_within_the_stated_uncertainty_of_uneven_courses() -> None:
     found = [pose_error(settle(fitted(0.0005, seed, course_jitter_m=0.002))) for seed in range(8)]
     # Chi-square of 6 degrees of freedom: 99.9 % lie below 22.5, half of them below 5.3.
+    assert max(found) < 22.5
+    assert 1.0 < np.median(found) < 10.0
+
+
+@pytest.mark.slow
+def test_the_truth_lies_within_the_stated_uncertainty_of_courses_that_drift() -> None:
+    found = [pose_error(settle(fitted(0.0005, seed, course_drift_m=0.0015))) for seed in range(8)]
     assert max(found) < 22.5
     assert 1.0 < np.median(found) < 10.0
 
@@ -463,7 +495,7 @@ def test_a_ratio_that_was_told_is_held_where_the_joints_confirm_it(
     covariance[RATIO, RATIO] = sigma**2
     covariance[0, RATIO] = covariance[RATIO, 0] = 5e-5 * sigma
     nothing = np.zeros(MOTION)
-    estimate = Estimate(nothing, nothing, covariance, Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0, 1.0))
+    estimate = Estimate(nothing, nothing, covariance, Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0))
     told = _with_told_ratio(replace(stack_fit, free=free), estimate)
     assert (told is not None) == held
     if told is not None:
@@ -486,6 +518,6 @@ def test_a_camera_far_from_the_given_one_does_not_clear_it(
     stack_fit: Fit, shift: tuple[float, ...], chi_square: float, alike: bool
 ) -> None:
     nothing = np.zeros(MOTION)
-    motion = Estimate(nothing, nothing, np.eye(MOTION), Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 1.0, 1.0))
+    motion = Estimate(nothing, nothing, np.eye(MOTION), Scatter(1e-3, 1e-3, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0))
     told = camera_check._Told(stack_fit, motion, chi_square, np.array(shift))
     assert camera_check._alike(told, stack_fit) is alike

@@ -14,7 +14,6 @@ from scipy.sparse import csr_matrix
 from autoreg.fitting.bare_steps import across_slope, only_steps, without_joints
 from autoreg.grey_levels.joint_image import SOON
 from autoreg.ground.sides import ALONG_X, ALONG_Y
-from autoreg.ground.stations import Stations
 from autoreg.numbering import numbered
 from autoreg.slabs.measured_joints import MeasuredJoints
 from autoreg.slabs.quadric import Quadric
@@ -263,40 +262,6 @@ def bow_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n 3"]:
     quadric = Quadric.over(ground)
     rise = quadric.extent * joints.px_per_unit * _slope(joints)
     return joints.middles_only(rise[:, None] * quadric.shapes(ground))
-
-
-def course_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n c"]:
-    """Pixels that joints move where courses lie aside by a unit: each by itself, and a family's together.
-
-    Paving is laid course by course, along a string. Across the unbroken joints of a running bond it is the
-    cross joints of one course that lie in line. Where all joints are lines, what the strings are squared and
-    spaced by lies aside as well.
-    """
-    grid, stations = joints.fit.grid, joints.fit.stations.take(joints.rows)
-    in_course = (stations.family == ALONG_Y) & (grid.shift != 0)
-    line = np.where(in_course, stations.cell, stations.line)
-    member, names = numbered(stations.family, line)
-    moved = np.zeros((len(joints.rows), len(names)))
-    moved[np.arange(len(member)), member] = 1.0
-    if grid.spacing_x is not None and grid.shift == 0:
-        moved = np.concatenate([moved, _askew(stations)], 1)
-    return joints.middles_only(moved * joints.px_per_unit[:, None])
-
-
-def _askew(stations: Stations) -> Float[np.ndarray, "n 4"]:
-    """Ground distances by which stations move whose family is askew by a unit at its ends, or fans out.
-
-    That shows in no residual, since a pose that is a little tilted imitates it.
-    """
-    moved = np.zeros((len(stations), 4))
-    for family in (ALONG_X, ALONG_Y):
-        own = np.flatnonzero(stations.family == family)
-        if len(own):
-            ground = stations.ground[own][:, [family, 1 - family]]
-            low, high = ground.min(0), ground.max(0)
-            along, across = ((2.0 * ground - low - high) / np.maximum(high - low, 1e-9)).T
-            moved[own, 2 * family : 2 * family + 2] = np.stack([along, along * across], 1)
-    return moved
 
 
 def bloom_effects(joints: MeasuredJoints) -> Float[np.ndarray, "n r"]:

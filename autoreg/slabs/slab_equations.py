@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from autoreg.fitting.design_effect import drawn_design_effect
 from autoreg.fitting.fit import Fit
 from autoreg.slabs.banded import solve_lower_banded
+from autoreg.slabs.course_effects import course_effects, drift_effects
 from autoreg.slabs.measured_joints import measured_joints
 from autoreg.slabs.reduced_equations import NormalEquations, ReducedEquations
 from autoreg.slabs.slab_band import SlabBand
@@ -25,7 +26,6 @@ from autoreg.slabs.slab_effects import (
     bloom_effects,
     bow_effects,
     common_effects,
-    course_effects,
     relief_effects,
     rim_effects,
     slab_effects,
@@ -49,7 +49,8 @@ BLOOM_PX = 0.1
 class Sizes(NamedTuple):
     """Standard deviation of a slab's place, and as shares of it: lift, turn, and what a line's joints share.
 
-    `together` is how many times as large as usual what all joints of a family are off by is.
+    `drift` is by how much more or less the next line's share, a share of the place too. `together` is how
+    many times as large as usual what all joints of a family are off by is.
     """
 
     place: float
@@ -57,6 +58,7 @@ class Sizes(NamedTuple):
     turn: float
     course: float
     together: float
+    drift: float
 
 
 class SlabEquations:
@@ -105,16 +107,19 @@ class SlabEquations:
             bow * bow_effects(joints),
             BLOOM_PX * bloom_effects(joints),
         )
-        no_courses = sizes is not None and sizes.course == 0
-        course = np.zeros((len(joints.off_px), 0)) if no_courses else course_effects(joints)
-        # Which of these columns are scaled by the sizes of the relief, of what is common and of the courses.
-        counts = [relief.shape[1], common.shape[1], course.shape[1], sum(each.shape[1] for each in others)]
-        self.relief, self.common, self.course = (np.repeat(of, counts) for of in np.eye(4, dtype=bool)[:3])
+        nothing = np.zeros((len(joints.off_px), 0))
+        course = nothing if sizes is not None and sizes.course == 0 else course_effects(joints)
+        drift = nothing if sizes is not None and sizes.drift == 0 else drift_effects(joints)
+        # Which of these columns are scaled by the sizes of the relief, of what is common, of the courses, and
+        # of what these drift by.
+        counts = [each.shape[1] for each in (relief, common, course, drift, np.concatenate(others, 1))]
+        of_each = (np.repeat(of, counts) for of in np.eye(len(counts), dtype=bool))
+        self.relief, self.common, self.course, self.drift, _ = of_each
         # Which unknowns are eliminated first, the motion's before all, and which are the relief's.
         of_relief = np.r_[np.zeros(len(free), dtype=bool), self.relief]
         self.first, self.last = np.flatnonzero(~of_relief), np.flatnonzero(of_relief)
-        self.columns = np.c_[J * self.unit, relief, common, course, *others, joints.off_px]
-        self.course_squares = (course**2).sum(1)
+        self.columns = np.c_[J * self.unit, relief, common, course, drift, *others, joints.off_px]
+        self.course_squares, self.drift_squares = (course**2).sum(1), (drift**2).sum(1)
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -137,8 +142,8 @@ class SlabEquations:
 
     def factor(self, sizes: Sizes) -> None:
         """Factorise the residuals' covariance V = D + Z Z', by Woodbury's identity on the sparse Z."""
-        place, lift, turn, course, self.together_size = sizes
-        self.course_size = place * course
+        place, lift, turn, course, self.together_size, drift = sizes
+        self.course_size, self.drift_size = place * course, place * drift
         if self.factored == (place, lift, turn):
             return
         self.factored = place, lift, turn
@@ -175,7 +180,7 @@ class SlabEquations:
         """Sizes of all columns: one for the motion and for the effects that have no size of their own."""
         of_effects = np.ones(len(self.relief))
         of_effects[self.relief], of_effects[self.common] = relief, self.together_size
-        of_effects[self.course] = self.course_size
+        of_effects[self.course], of_effects[self.drift] = self.course_size, self.drift_size
         return np.r_[np.ones(len(self.free)), of_effects]
 
     def _prior(self) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
@@ -230,9 +235,9 @@ class SlabEquations:
         left = self.columns @ np.r_[x, 1.0]
         own = self.D * self._whitened(left[:, None])[:, 0]
         # A slab's own effect would take up a side that is wholly mismeasured: it is judged as a whole.
-        place, lift, turn, course, _ = sizes
+        place, lift, turn, course, _, drift = sizes
         variance = self.joints.noise_px**2 + self.squares @ (place * np.array([1.0, lift, turn])) ** 2
-        variance += self.course_squares * (place * course) ** 2
+        variance += self.course_squares * (place * course) ** 2 + self.drift_squares * (place * drift) ** 2
         deviation = np.abs(left) / np.sqrt(variance)
         gross = deviation > GROSS_SIGMAS * max(spread_about(deviation), 1e-6)
         self.weight = np.where(gross, 1e-6, 1.0 / (1.0 + own**2 / (CAUCHY_SIGMAS**2 * self.D * self.weight)))

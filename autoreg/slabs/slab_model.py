@@ -2,12 +2,14 @@
 
 The places of neighbouring joints are no independent measurements. Each joint lies off its line by
 
-    J dp + place + lift + turn of the slabs on either side + course + relief + common shift + bloom + noise,
+    J dp + place + lift + turn of the slabs on either side + course + drift + relief + common shift + bloom
+        + noise,
 
 where every slab's place, height and turn are random, and so is the place of every course, whose slabs were
-laid along one string. Where all joints are lines, those of a family may be askew, or fan out, by as much: a
-tilted pose imitates that, and no residual shows it. Calibrated views of a printed board, whose own shape was
-solved for along with the cameras, are so; without this a third of their 95 % regions held the truth.
+laid along one string, and which goes on from where the one before it lies, so that courses drift. Where all
+joints are lines, those of a family may be askew, or fan out, by as much as courses lie aside: a tilted pose
+imitates that, and no residual shows it. Calibrated views of a printed board, whose own shape was solved for
+along with the cameras, are so; without this a third of their 95 % regions held the truth.
 The relief is the shift of a joint seen aslant: a lit wall of the far slab looks like the slab, and so the
 joint looks narrower and nearer than it is, never wider or farther: these effects have a mean. What the joints
 of a family are off by together beyond that shows in no residual: its size is that measured on ray-traced
@@ -33,17 +35,23 @@ from autoreg.solve.joint_data import MOTION
 from autoreg.solve.solver import Prior
 from autoreg.spread import spread_about
 
-# What is tried in turn: factors of the place's size, sizes of lift, turn and courses as shares of it, and of
-# what is common to a family, from those that are tried first. Slabs that lie aside mostly lie askew as well,
-# and have worn or split edges: a turn of half the place moves a side's ends by a quarter of it. If sides were
-# thought straighter than they are, a few long ones would tell the pose by their directions alone.
+# What courses drift by from each to the next, in sizes of the place.
+DRIFTS = (0.0, 0.3, 1.0, 3.0)
+# What is tried in turn: factors of the place's size, sizes of lift, turn and courses as shares of it, of what
+# is common to a family, and of the courses' drift, from those that are tried first. Slabs that lie aside
+# mostly lie askew as well, and have worn or split edges: a turn of half the place moves a side's ends by a
+# quarter of it. If sides were thought straighter than they are, a few long ones would tell the pose by their
+# directions alone.
 WIDE_SEARCHES = (
-    ((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 1.0, 2.0), (0.0, 0.8, 2.0), (2.0, 4.0)),
-    ((0.5, 0.75, 1.3), (), (), (0.0, 0.8, 2.0, 5.0), (1.0, 2.0, 4.0, 8.0)),
+    ((0.3, 0.6, 1.6, 2.5), (0.0, 1.0), (0.0, 0.12, 1.0, 2.0), (0.0, 0.8, 2.0), (2.0, 4.0), DRIFTS),
+    ((0.5, 0.75, 1.3), (), (), (0.0, 0.8, 2.0, 5.0), (1.0, 2.0, 4.0, 8.0), DRIFTS),
 )
-FIRST = (0.33, 0.5, 0.3, 1.0)
+FIRST = (0.33, 0.5, 0.3, 1.0, 0.0)
 # Near an earlier estimate, finely: how much evener another camera makes the slabs is judged by it.
-NEAR_SEARCHES = (((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0), ()), ((0.85, 1.18), (), (), (), ()))
+NEAR_SEARCHES = (
+    ((0.45, 0.7, 1.4), (), (), (0.0, 0.8, 2.0), (), DRIFTS),
+    ((0.85, 1.18), (), (), (), (), ()),
+)
 # How many times as large as usual what the joints of a family are off by together may be, and how likely
 # each is beforehand: chamfers, worn rims and deep shadows do more than the plain walls that the usual is of.
 # What of it changes with the slope of the view shows in the residuals; what does not goes with it.
@@ -70,15 +78,17 @@ class Scatter:
     """Standard deviations of the slabs' irregularity, in the unit of the pose (`turn` in radians).
 
     `lift` and `turn` are of slabs, like `place`; `course` is what the joints of one line lie aside together,
-    and those of a family at its ends; `relief` is a share of half the joint's width. `together` is how many
-    times as large as usual what a family's joints are off by is. `misfit` is the factor, in variance, by
-    which joints agree on being off beyond what all of these explain.
+    and those of a family at its ends, and `drift` by how much more or less those of the next one do; `relief`
+    is a share of half the joint's width. `together` is how many times as large as usual what a family's
+    joints are off by is. `misfit` is the factor, in variance, by which joints agree on being off beyond what
+    all of these explain.
     """
 
     place: float
     lift: float
     turn: float
     course: float
+    drift: float
     relief: float
     together: float
     misfit: float
@@ -86,7 +96,7 @@ class Scatter:
     @property
     def aside(self) -> float:
         """Standard deviation of what slabs lie aside, by their own places and by those of their courses."""
-        return float(np.hypot(self.place, self.course))
+        return float(np.linalg.norm([self.place, self.course, self.drift]))
 
 
 @dataclass(frozen=True)
@@ -181,7 +191,8 @@ def _misfit(model: SlabEquations, sizes: Sizes, relief: float, sunk: float) -> f
     if not len(model.joints.wide):
         model.factor(sizes)
         return max(1.0, model.misfit(relief))
-    aside = sizes.place * float(np.hypot(1.0, sizes.course)) / (DROWNED * model.joints.width)
+    aside = sizes.place * float(np.linalg.norm([1.0, sizes.course, sizes.drift]))
+    aside /= DROWNED * model.joints.width
     return 1.0 + (MISFIT - 1.0) * sunk / (1.0 + aside**2)
 
 
@@ -216,13 +227,22 @@ def _likely(model: SlabEquations, sizes: Sizes) -> _Likely:
 def _sizes_of(scatter: Scatter, side: float) -> Sizes:
     """The sizes that an earlier estimate found, for slabs of such a side."""
     place, turn = scatter.place, scatter.turn * side
-    return Sizes(place, scatter.lift / place, turn / place, scatter.course / place, scatter.together)
+    return Sizes(
+        place,
+        scatter.lift / place,
+        turn / place,
+        scatter.course / place,
+        scatter.together,
+        scatter.drift / place,
+    )
 
 
 def _scatter_of(sizes: Sizes, side: float, relief: float, misfit: float) -> Scatter:
     """What an estimate says of slabs of such a side."""
-    place, lift, turn, course, together = sizes
-    return Scatter(place, place * lift, place * turn / side, place * course, relief, together, misfit)
+    place, lift, turn, course, together, drift = sizes
+    return Scatter(
+        place, place * lift, place * turn / side, place * course, place * drift, relief, together, misfit
+    )
 
 
 def _in_blocks(fit: Fit, rows: Int[np.ndarray, " n"]) -> Int[np.ndarray, " k"]:

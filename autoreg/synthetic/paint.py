@@ -10,6 +10,8 @@ from autoreg.synthetic.scene import SyntheticScene
 
 # The random tables repeat after so many cells, far beyond what one photo shows sharply: a power of two.
 TABLE = 128
+# Of what a course has drifted by the next one keeps this share.
+KEPT = 0.9
 
 Tones = Float[np.ndarray, "*n"]
 # Column and row of slabs.
@@ -50,6 +52,13 @@ def smooth_noise(table: Float[np.ndarray, "m m"], x: Tones, y: Tones) -> Tones:
     return low * (1 - q) + high * q
 
 
+def _drift(rng: np.random.Generator) -> Float[np.ndarray, "2 m"]:
+    """What courses have drifted to, across them and along them, in sizes of a step."""
+    # As if the last course were followed by the first.
+    steps = np.fft.rfft(rng.standard_normal((2, TABLE)))
+    return np.fft.irfft(steps / (1.0 - KEPT * np.exp(-2j * np.pi * np.fft.rfftfreq(TABLE))), TABLE)
+
+
 class Ground:
     """The ground of one scene; its tables are drawn once, so that every sample sees the same stones."""
 
@@ -76,6 +85,7 @@ class Ground:
         self._shift_y += beside[:, None]
         # The courses of a running bond move along X, each with its cross joints; else columns do.
         self._shift_x += along[:, None] if scene.shift else along
+        self._drift = _drift(rng.spawn(1)[0]) * scene.course_drift_m
         # The most that moves a slab's side, across X and across Y, and that lifts a slab.
         turned = np.abs(self._slab_turn).max() * max(scene.spacing_m)
         self._most_aside = [np.abs(shift).max() + turned for shift in (self._shift_x, self._shift_y)]
@@ -90,9 +100,24 @@ class Ground:
             return self._gravel(x, y, np.hypot(width_x, width_y))
         if kind == "rows":
             return self._rows(x, y, width_x, width_y)
+        if self.scene.course_drift_m:
+            x, y = self._undrifted(x, y)
         if self.scene.has_relief:
             return self._sunk_lattice(x, y, width_x, width_y)
         return self._lattice(x, y, width_x, width_y)
+
+    def _undrifted(self, x: Tones, y: Tones) -> tuple[Tones, Tones]:
+        """Where on the ground these places would be if no course had drifted.
+
+        Across the courses slabs and joints share what two courses have drifted apart.
+        """
+        course = y / self.scene.spacing_m[1]
+        last = np.floor(course - 0.5).astype(np.int64)
+        part = course - 0.5 - last
+        aside, along = self._drift
+        before, beyond = (aside[row & (TABLE - 1)] for row in (last, last + 1))
+        own = along[np.floor(course).astype(np.int64) & (TABLE - 1)]
+        return x - own, y - (1.0 - part) * before - part * beyond
 
     def texture(self, x: Tones, y: Tones, width: Tones) -> Tones:
         """Relative tone of stone at three scales; what is finer than the footprint averages out."""

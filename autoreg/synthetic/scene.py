@@ -47,6 +47,8 @@ class SyntheticScene:
             the joint's width, so that slabs do not touch.
         course_jitter_m: standard deviation of the place of each whole line of slabs, besides; together they
             must stay under that fifth.
+        course_drift_m: standard deviation by which each course along X goes away from nine tenths of where
+            the one before has drifted to ("lattice" and "planks"); at most that fifth.
         joint_depth_m: how deep the bed of the joints of "lattice" lies under the slabs' tops; 0 paints flat
             joints, whatever the sun.
         chamfer_m: how far the rims beside sunk joints are bevelled, at 45 degrees, at most 0.9 of the depth.
@@ -83,6 +85,7 @@ class SyntheticScene:
     texture: float = 0.03
     jitter_m: float = 0.0
     course_jitter_m: float = 0.0
+    course_drift_m: float = 0.0
     turn_rad: float = 0.0
     lean_rad: float = 0.0
     joint_depth_m: float = 0.0
@@ -111,6 +114,13 @@ class SyntheticScene:
                 "jitter_m and course_jitter_m together must be at most a fifth of joint_width_m = "
                 f"{self.joint_width_m} m, got {self.jitter_m} m and {self.course_jitter_m} m"
             )
+        if not 0 <= self.course_drift_m <= 0.2 * self.joint_width_m:
+            raise ValueError(
+                f"course_drift_m must be within 0 and a fifth of joint_width_m = {self.joint_width_m} m, got "
+                f"{self.course_drift_m} m"
+            )
+        if self.course_drift_m and self.kind not in ("lattice", "planks"):
+            raise ValueError(f"course_drift_m is drawn for 'lattice' and 'planks' only, got {self.kind!r}")
         if self.samples < 1:
             raise ValueError(f"samples must be at least 1, got {self.samples}")
         self._check_relief()
