@@ -36,7 +36,7 @@ PLAIN_GREY, NOISY_GREY = (1.0, 3.0), (10.0, 30.0)
 
 @dataclass(frozen=True)
 class Regime:
-    """A kind of paving: jitter and side in metres, whether its joints are sunk, and the jitter of courses.
+    """A kind of paving: jitter and side in metres, whether its joints are sunk, jitter and drift of courses.
 
     The photo's noise is anything between two numbers of grey levels.
     """
@@ -46,6 +46,7 @@ class Regime:
     side_m: float
     sunk: bool = True
     course_m: float = 0.0
+    drift_m: float = 0.0
     noise_grey: tuple[float, float] = PLAIN_GREY
 
 
@@ -56,6 +57,7 @@ REGIMES = (
     Regime("irregular", 0.0015, 0.5),
     Regime("irregular, few", 0.002, 1.0),
     Regime("irregular courses", 0.001, 0.5, course_m=0.0015),
+    Regime("drifting courses", 0.0005, 0.3, drift_m=0.001),
     Regime("printed", 0.0, 0.5, sunk=False),
     Regime("even, noisy", 0.0, 0.5, noise_grey=NOISY_GREY),
     Regime("irregular, noisy", 0.0015, 0.5, noise_grey=NOISY_GREY),
@@ -96,6 +98,7 @@ def draw(regime: Regime, seed: int) -> SyntheticScene:
         joint_width_m=max(rng.uniform(*WIDTHS_M), 5 * float(np.hypot(regime.jitter_m, regime.course_m))),
         jitter_m=regime.jitter_m,
         course_jitter_m=regime.course_m,
+        course_drift_m=regime.drift_m,
         colour=False,
         seed=seed,
     )
@@ -173,7 +176,9 @@ def run(options: Options) -> Result:
             "filled to within 1 to 5 mm of the slabs' tops, bevelled or worn down to that, by anything from "
             "dark soil to what is nearly as light as the slabs. Irregular slabs lie aside by a standard "
             "deviation of 1.5 or 2 mm (with irregular courses by 1 mm, and the courses as a whole by 1.5 "
-            "mm), too high or low by half of that, and turned by 0.05°; even ones lie just where they ought "
+            "mm; with drifting ones by 0.5 mm, and each course by 1 mm from nine tenths of what the one "
+            "before has drifted by), too high or low by half of that, and turned by 0.05°; even ones lie just "
+            "where they ought "
             "to. Printed ones are flat joints whose two sides look alike, through a perfect lens: they are "
             "covered too often, as the covariance allows for more than that. Every regime counts. Errors are "
             "normalised by the stated covariance; the medians should be 2.4 (rotation), 5.3 (pose) and 0.45 "
