@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from paved import HALF_BOND, STACK, fit_of
+from paved import CHECKER, HALF_BOND, STACK, fit_of
 
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y
@@ -69,6 +69,10 @@ def test_a_stack_bond_may_have_been_laid_along_either_joints(stacked: Fit):
         by_cell = np.array([np.ptp(own[cell == k], axis=0) for k in np.unique(cell)]).max(0) < 1e-12
         assert by_line.any()
         assert by_cell.any()
+
+
+def test_tiles_that_meet_without_a_joint_do_not_drift():
+    assert drifts_of(fit_of(render_paving(CHECKER))).shape[1] == 0
 
 
 def test_a_single_course_drifts_nowhere(bonded: Fit):

@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from autoreg.fitting.bare_steps import without_joints
+from autoreg.fitting.fit import Fit
 from autoreg.ground.sides import ALONG_X, ALONG_Y, Grid
 from autoreg.ground.stations import Stations
 from autoreg.numbering import numbered
@@ -61,10 +63,11 @@ def drift_effects(joints: MeasuredJoints) -> Float[np.ndarray, "k d"]:
 
     That is a random walk, drawn by its principal components (Karhunen-Loeve): half waves over the courses in
     view, whose sizes go down as their lengths do. Long ones are what a pose that is a little tilted imitates.
+    Tiles that meet without a joint are printed, or leave no room for it.
     """
     stations = joints.fit.stations.take(joints.rows)
     moved = [np.zeros((len(joints.rows), 0))]
-    for laid in _laid(joints.fit.grid, stations):
+    for laid in _laid(joints.fit, stations):
         first, last = int(laid.course[laid.members].min()), int(laid.course[laid.members].max())
         count = last - first + 1
         wave = np.arange(1, min(WAVES, count - 1) + 1)
@@ -83,13 +86,13 @@ def _is_stack(grid: Grid) -> bool:
     return grid.spacing_x is not None and grid.shift == 0
 
 
-def _laid(grid: Grid, stations: Stations) -> Iterator[_Laid]:
-    """The courses of a lattice: along X, or where all joints are lines along either axis."""
-    ways = (ALONG_X, ALONG_Y) if _is_stack(grid) else (ALONG_X,)
+def _laid(fit: Fit, stations: Stations) -> Iterator[_Laid]:
+    """The courses of a lattice with joints: along X, or where all joints are lines along either axis."""
+    ways, bare = (ALONG_X, ALONG_Y) if _is_stack(fit.grid) else (ALONG_X,), without_joints(fit)
     for way in ways:
         for family in (ALONG_X, ALONG_Y):
             members = stations.family == family
-            if members.any():
+            if members.any() and family not in bare:
                 course = stations.line if family == way else stations.cell
                 yield _Laid(members, course, stations.ground[:, way], family == way)
 
