@@ -30,9 +30,9 @@ ENDS, WAVES_OF_ENDS = 0.5, 4
 
 
 class _Laid(NamedTuple):
-    """Joints of one family, and the numbers of the courses that they were laid with.
+    """Joints of one family, the courses that they were laid with, and how far along these they lie.
 
-    Either each `own` line of the family is laid along a string, or what lies in it across those of the other.
+    The courses run along the family's `own` lines, or across them: then it is their ends that lie in a line.
     """
 
     members: Bool[np.ndarray, " n"]
