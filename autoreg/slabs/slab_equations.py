@@ -73,8 +73,12 @@ class SlabEquations:
         rows: Int[np.ndarray, " n"],
         widths: bool,
         sizes: Sizes | None = None,
+        *,
+        drifts: bool = True,
     ) -> None:
         """Effects of which the `sizes` that will be asked for have nothing are left out.
+
+        So is the courses' drift where they are not to have any.
 
         Behind the motion of the parameters that the `mask` frees stands the shift of an odd bond.
         """
@@ -109,7 +113,8 @@ class SlabEquations:
         )
         nothing = np.zeros((len(joints.off_px), 0))
         course = nothing if sizes is not None and sizes.course == 0 else course_effects(joints)
-        drift = nothing if sizes is not None and sizes.drift == 0 else drift_effects(joints)
+        still = not drifts or (sizes is not None and sizes.drift == 0)
+        drift = nothing if still else drift_effects(joints)
         # Which of these columns are scaled by the sizes of the relief, of what is common, of the courses, and
         # of what these drift by.
         counts = [each.shape[1] for each in (relief, common, course, drift, np.concatenate(others, 1))]

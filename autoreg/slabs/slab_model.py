@@ -137,6 +137,7 @@ def estimate_motion(
     *,
     bow: float = 0.0,
     widths: bool = True,
+    drifts: bool = True,
     search: bool = True,
 ) -> Estimate:
     """The mixed model's motion of the free parameters from the fit, averaged over likely scatters.
@@ -151,17 +152,18 @@ def estimate_motion(
         search: whether to search at all; else the earlier scatter is taken as it is.
         bow: how far from a plane the ground may be bent, as a share of its extent (standard deviation).
         widths: whether the joints' widths have a say.
+        drifts: whether courses may drift.
     """
     rows = np.flatnonzero(fit.usable)
     if near is not None and not search:
         sizes, relief = _sizes_of(near, fit.grid.slab_side), near.relief
-        model = SlabEquations(fit, mask, prior, bow, rows, widths, sizes)
+        model = SlabEquations(fit, mask, prior, bow, rows, widths, sizes, drifts=drifts)
     else:
         some = _in_blocks(fit, rows)
-        model = SlabEquations(fit, mask, prior, bow, some, widths)
+        model = SlabEquations(fit, mask, prior, bow, some, widths, drifts=drifts)
         sizes, relief = _likeliest_sizes(model, near)
         if len(some) < len(rows):
-            model = SlabEquations(fit, mask, prior, bow, rows, widths, sizes)
+            model = SlabEquations(fit, mask, prior, bow, rows, widths, sizes, drifts=drifts)
         else:
             model.begin_anew()
     for _ in range(2):

@@ -79,11 +79,12 @@ def settle(fit: Fit, *, widths: bool = True) -> Settled:
 
 def _likeliest(fit: Fit, widths: bool) -> tuple[Estimate, Fit]:
     """The likeliest motion of what a fit solves for, and the fit moved by it."""
-    bow = BOW if fit.free.focal else 0.0
+    # A camera that is solved for follows the joints: what drifts would leave it free to go astray.
+    bow, drifts = (BOW, False) if fit.free.focal else (0.0, True)
     prior = fit.free.prior(fit.camera, fit.grid)
-    estimate = estimate_motion(fit, fit.free.mask, prior, bow=bow, widths=widths)
+    estimate = estimate_motion(fit, fit.free.mask, prior, bow=bow, widths=widths, drifts=drifts)
     if widths and widths_told(fit):
-        alone = estimate_motion(fit, fit.free.mask, prior, bow=bow, widths=False)
+        alone = estimate_motion(fit, fit.free.mask, prior, bow=bow, widths=False, drifts=drifts)
         estimate = _either(estimate, alone)
     held = _with_told_ratio(fit, estimate)
     moved = fit.moved((held or estimate).parameters)
