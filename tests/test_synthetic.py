@@ -87,17 +87,19 @@ def test_the_noise_that_was_asked_for_is_in_the_photo():
     assert np.std(noisy - clean) == pytest.approx(np.hypot(4.0, np.sqrt(1 / 6)), rel=0.02)
 
 
+def joint_offsets_m(photo: SyntheticPhoto, middles: np.ndarray, along_x: bool) -> np.ndarray:
+    """How far on the ground joints lie off their lines."""
+    across = np.array([0.0, 0.001] if along_x else [0.001, 0.0])
+    scale_px = np.linalg.norm(photo.project(middles + across) - photo.project(middles), axis=1) / 0.001
+    return joint_offsets_px(photo, middles, along_x) / scale_px
+
+
 def test_jitter_moves_single_joints_but_not_their_mean():
     jitter_m = 0.002
     scene = replace(PLAIN, jitter_m=jitter_m, seed=1, blur_px=0.0, samples=3)
     photo = render_paving(scene)
     middles = joint_middles(photo, along_x=False)
-    offsets = joint_offsets_px(photo, middles, along_x=False)
-    scale_px = (
-        np.linalg.norm(photo.project(middles + np.array([0.001, 0.0])) - photo.project(middles), axis=1)
-        / 0.001
-    )
-    offsets_m = offsets / scale_px
+    offsets_m = joint_offsets_m(photo, middles, along_x=False)
     # A joint lies between two slabs, so that its centroid moves by the mean of two jitters.
     assert np.std(offsets_m) == pytest.approx(jitter_m / np.sqrt(2), rel=0.4)
     assert abs(np.mean(offsets_m)) < 3 * jitter_m / np.sqrt(2 * len(middles))
@@ -176,9 +178,7 @@ def test_courses_drift_together_with_their_neighbours():
     scene = replace(PLAIN, course_drift_m=drift_m, seed=1, blur_px=0.0, samples=3)
     photo = render_paving(scene)
     middles = joint_middles(photo, along_x=True)
-    offsets = joint_offsets_px(photo, middles, along_x=True)
-    away = photo.project(middles + np.array([0.0, 0.001])) - photo.project(middles)
-    offsets_m = 0.001 * offsets / np.linalg.norm(away, axis=1)
+    offsets_m = joint_offsets_m(photo, middles, along_x=True)
     line = np.round(middles[:, 1] / scene.spacing_m[1]).astype(int)
     of_line = {k: offsets_m[line == k] for k in np.unique(line)}
     # All of a course goes with it.

@@ -80,14 +80,15 @@ def no_lattice(
             measured=round(one_way, 3),
             limit=ONE_WAY,
         )
-    evidence = sum(best.evidence_nats) if best else 0.0
+    evidence = round(sum(best.evidence_nats), 2) if best else 0.0
+    limit = round(TESTED_NATS + FALSE_ALARM_NATS, 2)
     if best is not None and len(best.presence.p) < FEW_SIDES and best.margin_nats > -0.5 * TESTED_NATS:
         return Refusal(
             "too_few_joints",
             f"a lattice may be there, but only {len(best.presence.p)} slab sides are in view, too few to "
             "tell it from chance; step back or tilt the camera so that more slabs are seen",
-            measured=round(evidence, 2),
-            limit=round(TESTED_NATS + FALSE_ALARM_NATS, 2),
+            measured=evidence,
+            limit=limit,
         )
     nats = "evidence in nats, against what as many tried lattices reach by luck once in a thousand photos"
     said = (
@@ -100,8 +101,7 @@ def no_lattice(
             "as joints do, but no even spacing explains them: slabs may be of several sizes, or courses of "
             f"several widths ({nats}); photograph slabs of one size, or rows of one width"
         )
-    limit = round(TESTED_NATS + FALSE_ALARM_NATS, 2)
-    return Refusal("no_lattice", said, measured=round(evidence, 2), limit=limit)
+    return Refusal("no_lattice", said, measured=evidence, limit=limit)
 
 
 def not_measured(sides: int) -> Refusal:

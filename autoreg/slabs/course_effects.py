@@ -75,10 +75,10 @@ def drift_effects(joints: MeasuredJoints) -> Float[np.ndarray, "k d"]:
         walk = np.sqrt(2.0 * count) / (np.pi * wave) * np.cos(np.pi * wave * place[:, None])
         moved.append(walk * laid.members[:, None])
         if laid.own:
-            low, high = laid.along[laid.members].min(), laid.along[laid.members].max()
-            to_ends = (2.0 * laid.along - low - high) / max(high - low, 1e-9)
+            to_ends = np.zeros(len(walk))
+            to_ends[laid.members] = _to_ends(laid.along[laid.members])
             of_ends = np.column_stack([np.ones(len(walk)), walk[:, :WAVES_OF_ENDS]])
-            moved.append(ENDS * of_ends * (to_ends * laid.members)[:, None])
+            moved.append(ENDS * of_ends * to_ends[:, None])
     return joints.middles_only(np.concatenate(moved, 1) * joints.px_per_unit[:, None])
 
 
@@ -97,6 +97,12 @@ def _laid(fit: Fit, stations: Stations) -> Iterator[_Laid]:
                 yield _Laid(members, course, stations.ground[:, way], family == way)
 
 
+def _to_ends(places: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Where places lie between the first and the last of them along each axis, from -1 to 1."""
+    low, high = places.min(0), places.max(0)
+    return (2.0 * places - low - high) / np.maximum(high - low, 1e-9)
+
+
 def _askew(stations: Stations) -> Float[np.ndarray, "n 4"]:
     """Ground distances by which stations move whose family is askew by a unit at its ends, or fans out.
 
@@ -107,7 +113,6 @@ def _askew(stations: Stations) -> Float[np.ndarray, "n 4"]:
         own = np.flatnonzero(stations.family == family)
         if len(own):
             ground = stations.ground[own][:, [family, 1 - family]]
-            low, high = ground.min(0), ground.max(0)
-            along, across = ((2.0 * ground - low - high) / np.maximum(high - low, 1e-9)).T
+            along, across = _to_ends(ground).T
             moved[own, 2 * family : 2 * family + 2] = np.stack([along, along * across], 1)
     return moved

@@ -105,25 +105,25 @@ class SlabEquations:
         self.squares = np.stack([effect.power(2).sum(1).A1 for effect in effects], 1)
         relief, self.expected = relief_effects(joints)
         common = common_effects(joints)
-        others = (
+        others = np.c_[
             rim_effects(joints),
             width_effects(joints),
             bow * bow_effects(joints),
             BLOOM_PX * bloom_effects(joints),
-        )
+        ]
         nothing = np.zeros((len(joints.off_px), 0))
         course = nothing if sizes is not None and sizes.course == 0 else course_effects(joints)
         still = not drifts or (sizes is not None and sizes.drift == 0)
         drift = nothing if still else drift_effects(joints)
         # Which of these columns are scaled by the sizes of the relief, of what is common, of the courses, and
         # of what these drift by.
-        counts = [each.shape[1] for each in (relief, common, course, drift, np.concatenate(others, 1))]
+        counts = [each.shape[1] for each in (relief, common, course, drift, others)]
         of_each = (np.repeat(of, counts) for of in np.eye(len(counts), dtype=bool))
         self.relief, self.common, self.course, self.drift, _ = of_each
         # Which unknowns are eliminated first, the motion's before all, and which are the relief's.
         of_relief = np.r_[np.zeros(len(free), dtype=bool), self.relief]
         self.first, self.last = np.flatnonzero(~of_relief), np.flatnonzero(of_relief)
-        self.columns = np.c_[J * self.unit, relief, common, course, drift, *others, joints.off_px]
+        self.columns = np.c_[J * self.unit, relief, common, course, drift, others, joints.off_px]
         self.course_squares, self.drift_squares = (course**2).sum(1), (drift**2).sum(1)
         self.begin_anew()
 
