@@ -21,6 +21,7 @@ from autoreg.ground.points import inside_convex, lengths, on_ground, project_gro
 from autoreg.ground.sight import Sight, see
 from autoreg.paving.lattice_evidence import Paving, alike, has_ratio, presented
 from autoreg.paving.lay import refine_in_field
+from autoreg.paving.presence import Presence
 from autoreg.paving.side_support import Effort, presence_of
 from autoreg.search.find import find_on
 from autoreg.segments import Segments
@@ -71,7 +72,7 @@ def largest_field(
     other = None if part is None else _found_in(sight, camera, covered, part)
     if other is None or alike(found, other, ALIKE):
         return found
-    whole = _in_whole(sight, camera, other)
+    whole = in_whole(sight, camera, other)
     if whole is None or not same_ground(found.fit, whole.fit):
         return found
     # It is plain to see, in its part or in the whole, unless it is what was asked for.
@@ -204,17 +205,22 @@ def same_ground(one: Fit, other: Fit) -> bool:
     return bool(up > np.cos(SAME_GROUND_RAD))
 
 
-def _in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
-    """A field that was found in a part of the photo, as the whole photo shows it at detection scale."""
+def in_whole(sight: Sight, camera: Camera, other: Paving) -> Paving | None:
+    """A lattice that was found in a part of the photo, as the whole photo shows it."""
+    fit, presence = seen_again(sight, camera, other)
+    # A part may be seen many times as finely as the whole, which shows nothing of its slabs then.
+    whole = presented(sight.looks.picture, fit, within=presence.field) if len(presence.p) else None
+    return None if whole is None or whole.margin_nats <= 0 else whole
+
+
+def seen_again(sight: Sight, camera: Camera, other: Paving) -> tuple[Fit, Presence]:
+    """The fit to the whole photo of what was found in a part of it, and the presence of all its sides."""
     picture = sight.looks.picture
     own = camera.scaled(picture.shape[1], picture.shape[0])
     # In the part, a pixel may stand for less.
     strip = other.fit.strip.resized(own.fx / other.fit.camera.fx)
     fit = refine_in_field(picture, replace(other.fit, camera=own, strip=strip), other.presence.field)
-    presence = presence_of(picture, fit, WHOLE)
-    # A part may be seen many times as finely as the whole, which shows nothing of its slabs then.
-    whole = presented(picture, fit, within=presence.field) if len(presence.p) else None
-    return None if whole is None or whole.margin_nats <= 0 else whole
+    return fit, presence_of(picture, fit, WHOLE)
 
 
 def _area_px(fit: Fit, field: Float[np.ndarray, "k 2"]) -> int:

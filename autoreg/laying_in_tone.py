@@ -15,7 +15,8 @@ from autoreg.fine_hue import Hue, finest_hue
 from autoreg.fitting.fit import Fit
 from autoreg.ground.sight import see
 from autoreg.joint_tone import Tone, clearest_tone
-from autoreg.laying import camera_to_blame, lay, lay_where
+from autoreg.laying import NOT_THERE, camera_to_blame, lay, lay_where
+from autoreg.parts import paving_by_part
 from autoreg.paving.lattice_evidence import SAME_SPACING, alike
 from autoreg.search.find import find_lattice_or_rows_on, find_on
 from autoreg.search.glance import promises
@@ -47,11 +48,15 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
         blamed = camera_to_blame(task)
         if blamed is not None:
             raise blamed from None
-        by_hue = _laid_by_hue(task)
+        found = _laid_by_hue(task)
         # Where luminance shows another pattern, hue may show the stones of one of its columns, like rows.
-        if by_hue is None or (isinstance(refusal, PatternRefusal) and _are_rows(by_hue[1])):
+        if found is not None and isinstance(refusal, PatternRefusal) and _are_rows(found[1]):
             raise
-        seen, laid = by_hue
+        if found is None and _is_absent(refusal):
+            found = _laid_by_part(task)
+        if found is None:
+            raise
+        seen, laid = found
     return _in_joint_tone(seen, laid)
 
 
@@ -110,6 +115,29 @@ def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:
         return None
     laid = _perhaps_laid(hued, thorough=False)
     return None if laid is None else (hued, laid)
+
+
+def _laid_by_part(task: Task) -> tuple[Task, Laid] | None:
+    """The paving that a part of the photo shows, if any does, and the photo at a scale that shows it as well.
+
+    Raises:
+        Refusal: there is some, but it is a wall's or no slabs', or does not tell the focal length.
+    """
+    seen = paving_by_part(task.sight, task.camera)
+    if seen is None:
+        return None
+    closer = replace(task, sight=seen.sight)
+    try:
+        return closer, lay_where(closer, seen.found)
+    except Refusal as refusal:
+        if _is_absent(refusal):
+            return None
+        raise
+
+
+def _is_absent(refusal: Refusal) -> bool:
+    """Whether a photo is refused for showing no joints of slabs, and none of other patterns either."""
+    return refusal.code in NOT_THERE and not isinstance(refusal, PatternRefusal)
 
 
 def _perhaps_laid(task: Task, *, thorough: bool = True) -> Laid | None:

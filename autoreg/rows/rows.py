@@ -54,6 +54,11 @@ class Rows:
     crossing: Float[np.ndarray, "2"]
 
     @property
+    def fit(self) -> Fit:
+        """The fit of the unbroken joints."""
+        return self.paving.fit
+
+    @property
     def margin_nats(self) -> float:
         """Evidence beyond what the number of tested hypotheses demands, for joints and cross joints alike."""
         x, y = self.paving.evidence_nats

@@ -231,6 +231,20 @@ def _found_on(
     return found if found is not None and found.margin_nats > 0 else None, planes
 
 
+def find_promising(sight: Sight, hypotheses: list[Hypothesis]) -> Paving | Rows | None:
+    """The lattice, or else the rows, on those grounds whose joints are clear as they came, if any are.
+
+    For a known camera, or several that a photo may have: the focal length is not solved for.
+    """
+    free, looks, segments = Free(ratio=True), sight.looks, sight.segments
+    pavings, planes = lay_promising(
+        looks, segments, hypotheses, lambda plane: lay_lattice(looks, plane, free), free_focal=False
+    )
+    if is_there(pavings):
+        return pavings[0]
+    return rows_alone(fields_of_rows(looks, segments, sight.size, planes))
+
+
 def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:
     """The rows that explain the photo best, at detection scale, if any do better than chance.
 

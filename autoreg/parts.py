@@ -1,0 +1,144 @@
+"""Paving whose slabs are too small to be seen where a photo is made smaller: found by a part of it.
+
+A photo is looked into at detection scale, where a large one leaves little of small slabs that are seen from a
+window, say. A part of it need not be made as small. What is plain to see in one is looked for in the whole
+photo at the part's scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from autoreg.camera import Camera
+from autoreg.fields import in_whole, seen_again
+from autoreg.ground.sight import DETECTION_PIXELS, Sight, see
+from autoreg.image import pyramid
+from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving
+from autoreg.paving.plane_combs import PROMISING_NATS, Hypothesis, planes_as_they_came
+from autoreg.rows.rows import Rows
+from autoreg.search.find import find_promising
+from autoreg.search.hypotheses import hypothesised
+
+# A part is half as wide and as high as what it is a part of, for which that must have been made smaller by
+# so much at least.
+HALF, SMALLER = 0.5, 1.5
+# Where parts lie, as shares of the room that they leave to the left and above: what is nearest, and halfway.
+PLACES = ((0.5, 1.0), (0.0, 1.0), (1.0, 1.0), (0.5, 0.5), (0.0, 0.5), (1.0, 0.5))
+
+
+# So many parts of a size are looked into, those with the clearest joints first.
+MOST_PARTS = 3
+
+
+@dataclass(frozen=True)
+class SeenCloser:
+    """The paving of a photo, and the photo as it is seen at a scale that shows it."""
+
+    sight: Sight
+    found: Paving | Rows
+
+
+def paving_by_part(sight: Sight, camera: Camera | None) -> SeenCloser | None:
+    """The paving that is plain to see in a part of a large photo, as the whole shows it at the part's scale.
+
+    A lattice, or else the plainest rows: these tell the tilt by how they narrow, which a quarter of the photo
+    shows too little of. None where no part shows any, or the whole does not show it on the same ground.
+
+    Args:
+        sight: what is seen of the photo.
+        camera: its camera, or None to look for a focal length as well.
+    """
+    free, hypotheses = hypothesised(sight.segments, sight.size, camera)
+    for share in _shares(*sight.size):
+        parts = [_part_of(sight, box, camera, hypotheses) for box in _boxes(*sight.size, share)]
+        promising = sorted((p for p in parts if p.score > PROMISING_NATS), key=lambda part: -part.score)
+        closer, rows = _closer(sight, share), list[tuple[Rows, Camera]]()
+        for part in promising[:MOST_PARTS]:
+            found = find_promising(part.sight, part.grounds)
+            if found is None or found.margin_nats < PLAIN_NATS:
+                continue
+            own = camera or Camera.from_focal(*sight.size, found.fit.camera.scaled(*part.sight.size).fx)
+            if isinstance(found, Rows):
+                rows.append((found, own))
+                continue
+            paving = replace(found, fit=replace(found.fit, free=free))
+            lattice = in_whole(closer, own, paving)
+            if lattice is not None:
+                return SeenCloser(closer, lattice)
+        if rows and share == HALF:
+            plainest, own = max(rows, key=lambda each: each[0].margin_nats)
+            return SeenCloser(closer, _rows_in_whole(closer, own, plainest))
+    return None
+
+
+class _Box(NamedTuple):
+    """A part of a photo in whole pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def of(self, sight: Sight) -> Sight:
+        """What is seen of the photo in it."""
+        rows, columns = slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+        return see(np.ascontiguousarray(sight.gray[rows, columns]), toned=sight.toned)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is seen of a part of a photo, and the grounds on which its joints may lie.
+
+    Their cameras are the part's. On one of them the joints are as clear as `score` says.
+    """
+
+    sight: Sight
+    grounds: list[Hypothesis]
+    score: float
+
+
+def _part_of(sight: Sight, box: _Box, camera: Camera | None, hypotheses: list[Hypothesis]) -> _Part:
+    """A part of a photo of which the grounds are those that its own segments suggest.
+
+    By an unknown camera, those of the whole photo: the camera's axis does not go through the part's middle,
+    so that the part by itself tells no focal length.
+    """
+    seen = box.of(sight)
+    if camera is None:
+        grounds = [(own.cropped(*box), R) for own, R in hypotheses]
+    else:
+        _, grounds = hypothesised(seen.segments, seen.size, camera.cropped(*box))
+    planes = planes_as_they_came(seen.looks, grounds)
+    return _Part(seen, grounds, planes[0].score if planes else 0.0)
+
+
+def _shares(width: int, height: int) -> Iterator[float]:
+    """The parts' sizes as shares of the photo's, the largest first."""
+    share = 1.0
+    while width * height * share**2 >= DETECTION_PIXELS * SMALLER**2:
+        share *= HALF
+        yield share
+
+
+def _boxes(width: int, height: int, share: float) -> Iterator[_Box]:
+    """The parts of such a size."""
+    size = np.array([width, height])
+    part = np.floor(share * size).astype(int)
+    for place in PLACES:
+        yield _Box(*np.floor((size - part) * place).astype(int).tolist(), *part.tolist())
+
+
+def _closer(sight: Sight, share: float) -> Sight:
+    """A photo whose presence of sides is told at the scale of such a part of it."""
+    picture = pyramid(sight.gray, round(DETECTION_PIXELS / share**2))[0].astype(np.float32)
+    return replace(sight, looks=replace(sight.looks, picture=picture))
+
+
+def _rows_in_whole(closer: Sight, camera: Camera, rows: Rows) -> Rows:
+    """Rows that were found in a part of the photo, as the whole photo shows them."""
+    fit, presence = seen_again(closer, camera, rows.paving)
+    return replace(rows, paving=replace(rows.paving, fit=fit, presence=presence))

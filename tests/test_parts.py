@@ -1,0 +1,98 @@
+"""Small slabs in a large photo, seen from a window: a part of it shows them where all of it is too small."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import autoreg
+from autoreg import laying_in_tone
+from autoreg.answer.refusals import not_measured
+from autoreg.camera import Camera
+from autoreg.errors import Refusal
+from autoreg.ground.sight import Sight, see
+from autoreg.image import as_gray
+from autoreg.parts import paving_by_part
+from autoreg.rows.rows import Rows
+from autoreg.search.find import find_paving
+from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
+from benchmarks.suites.robust import angle_up_to_quarter_turns
+
+CAMERA = Camera.from_focal(1600, 1200, 1280.0)
+BRICKS = SyntheticScene(
+    camera=CAMERA,
+    cam_from_ground=look_at_ground(pitch_deg=25.0, height_m=6.0, heading_deg=25.0, roll_deg=1.0),
+    spacing_m=(0.2, 0.1),
+    shift=0.5,
+    joint_width_m=0.006,
+    jitter_m=0.0008,
+    noise_grey=3.0,
+    colour=False,
+    seed=3,
+)
+SETTS = replace(BRICKS, spacing_m=(0.1, 0.1), shift=0.0)
+ROWS = replace(BRICKS, kind="rows", shift=0.0, jitter_m=0.0)
+
+
+def sight_of(scene: SyntheticScene) -> Sight:
+    return see(as_gray(render_paving(scene).pixels))
+
+
+@pytest.mark.parametrize("scene", [BRICKS, ROWS], ids=["bricks", "rows"])
+def test_small_slabs_are_aligned_by_a_part_of_the_photo(scene: SyntheticScene):
+    pixels = render_paving(scene).pixels
+    # Where all of it is looked at, there is nothing to be found.
+    with pytest.raises(Refusal):
+        find_paving(see(as_gray(pixels)), CAMERA)
+    found = autoreg.align(pixels, CAMERA, slab=None if scene.kind == "rows" else scene.spacing_m)
+    assert angle_up_to_quarter_turns(found.pose.cam_from_ground, scene.cam_from_ground) < 0.02
+    assert (
+        found.lattice.kind == {"rows": "rows", "lattice": "running" if scene.shift else "stack"}[scene.kind]
+    )
+    if scene.kind == "lattice":
+        height = found.pose.cam_from_ground.origin_in_a[2]
+        assert height == pytest.approx(6.0, rel=5e-4)
+        # The joints of the whole photo carry the fit, not those of the part alone.
+        ends = np.concatenate([joint.ends_px for joint in found.joints])
+        assert np.ptp(ends[:, 0]) > 0.8 * CAMERA.width
+
+
+def test_so_they_are_without_a_camera():
+    found = autoreg.align(render_paving(SETTS).pixels, None, slab=SETTS.spacing_m)
+    assert angle_up_to_quarter_turns(found.pose.cam_from_ground, SETTS.cam_from_ground) < 1.0
+    assert found.camera.camera.fx == pytest.approx(CAMERA.fx, rel=0.03)
+
+
+def test_rows_without_a_camera_are_refused_for_what_they_do_not_tell():
+    with pytest.raises(Refusal, match="the photo names no camera"):
+        autoreg.align(render_paving(ROWS).pixels, None)
+
+
+def test_rows_count_where_half_a_photo_shows_them():
+    seen = paving_by_part(sight_of(ROWS), CAMERA)
+    assert seen is not None
+    assert isinstance(seen.found, Rows)
+    # At the scale of half the photo, which is four times as many pixels as all of it is looked at with.
+    assert seen.sight.looks.picture.size == CAMERA.width * CAMERA.height
+    assert seen.found.fit.camera.width == CAMERA.width
+
+
+def test_a_photo_that_is_hardly_made_smaller_has_no_parts():
+    small = CAMERA.scaled(1340, 1005)
+    assert paving_by_part(sight_of(replace(BRICKS, camera=small)), small) is None
+
+
+def test_ground_without_slabs_has_none_in_any_part():
+    assert paving_by_part(sight_of(replace(BRICKS, kind="gravel", shift=0.0, jitter_m=0.0)), CAMERA) is None
+
+
+def test_what_vanishes_in_the_whole_photo_is_refused_as_it_was(monkeypatch: pytest.MonkeyPatch):
+    def vanished(*_: object) -> None:
+        raise not_measured(12)
+
+    monkeypatch.setattr(laying_in_tone, "lay_where", vanished)
+    with pytest.raises(Refusal) as refusal:
+        autoreg.align(render_paving(BRICKS).pixels, CAMERA)
+    assert refusal.value.code == "one_direction"
