@@ -120,10 +120,12 @@ def _laid_by_hue(task: Task) -> tuple[Task, Laid] | None:
 def _laid_by_part(task: Task) -> tuple[Task, Laid] | None:
     """The paving that a part of the photo shows, if any does, and the photo at a scale that shows it as well.
 
+    By a known camera: a part by itself tells a focal length too roughly.
+
     Raises:
         Refusal: there is some, but it is a wall's or no slabs', or does not tell the focal length.
     """
-    seen = paving_by_part(task.sight, task.camera)
+    seen = None if task.camera is None else paving_by_part(task.sight, task.camera)
     if seen is None:
         return None
     closer = replace(task, sight=seen.sight)

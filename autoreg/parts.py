@@ -28,8 +28,6 @@ from autoreg.search.hypotheses import hypothesised
 HALF, SMALLER = 0.5, 1.5
 # Where parts lie, as shares of the room that they leave to the left and above: what is nearest, and halfway.
 PLACES = ((0.5, 1.0), (0.0, 1.0), (1.0, 1.0), (0.5, 0.5), (0.0, 0.5), (1.0, 0.5))
-
-
 # So many parts of a size are looked into, those with the clearest joints first.
 MOST_PARTS = 3
 
@@ -42,7 +40,7 @@ class SeenCloser:
     found: Paving | Rows
 
 
-def paving_by_part(sight: Sight, camera: Camera | None) -> SeenCloser | None:
+def paving_by_part(sight: Sight, camera: Camera) -> SeenCloser | None:
     """The paving that is plain to see in a part of a large photo, as the whole shows it at the part's scale.
 
     A lattice, or else the plainest rows: these tell the tilt by how they narrow, which a quarter of the photo
@@ -50,28 +48,28 @@ def paving_by_part(sight: Sight, camera: Camera | None) -> SeenCloser | None:
 
     Args:
         sight: what is seen of the photo.
-        camera: its camera, or None to look for a focal length as well.
+        camera: its camera. By another one a lattice would suit the part, and not go on beyond it.
     """
-    free, hypotheses = hypothesised(sight.segments, sight.size, camera)
     for share in _shares(*sight.size):
-        parts = [_part_of(sight, box, camera, hypotheses) for box in _boxes(*sight.size, share)]
+        parts = [_part_of(sight, box, camera) for box in _boxes(*sight.size, share)]
         promising = sorted((p for p in parts if p.score > PROMISING_NATS), key=lambda part: -part.score)
-        closer, rows = _closer(sight, share), list[tuple[Rows, Camera]]()
+        closer, rows = _closer(sight, share), list[Rows]()
         for part in promising[:MOST_PARTS]:
             found = find_promising(part.sight, part.grounds)
             if found is None or found.margin_nats < PLAIN_NATS:
                 continue
-            own = camera or Camera.from_focal(*sight.size, found.fit.camera.scaled(*part.sight.size).fx)
             if isinstance(found, Rows):
-                rows.append((found, own))
+                rows.append(found)
                 continue
-            paving = replace(found, fit=replace(found.fit, free=free))
-            lattice = in_whole(closer, own, paving)
+            lattice = in_whole(closer, camera, found)
             if lattice is not None:
                 return SeenCloser(closer, lattice)
         if rows and share == HALF:
-            plainest, own = max(rows, key=lambda each: each[0].margin_nats)
-            return SeenCloser(closer, _rows_in_whole(closer, own, plainest))
+            plainest = max(rows, key=lambda each: each.margin_nats)
+            fit, presence = seen_again(closer, camera, plainest.paving)
+            if len(presence.p):
+                paving = replace(plainest.paving, fit=fit, presence=presence)
+                return SeenCloser(closer, replace(plainest, paving=paving))
     return None
 
 
@@ -91,9 +89,9 @@ class _Box(NamedTuple):
 
 @dataclass(frozen=True)
 class _Part:
-    """What is seen of a part of a photo, and the grounds on which its joints may lie.
+    """What is seen of a part of a photo, and the grounds that its segments suggest.
 
-    Their cameras are the part's. On one of them the joints are as clear as `score` says.
+    On one of them the joints are as clear as `score` says.
     """
 
     sight: Sight
@@ -101,17 +99,9 @@ class _Part:
     score: float
 
 
-def _part_of(sight: Sight, box: _Box, camera: Camera | None, hypotheses: list[Hypothesis]) -> _Part:
-    """A part of a photo of which the grounds are those that its own segments suggest.
-
-    By an unknown camera, those of the whole photo: the camera's axis does not go through the part's middle,
-    so that the part by itself tells no focal length.
-    """
+def _part_of(sight: Sight, box: _Box, camera: Camera) -> _Part:
     seen = box.of(sight)
-    if camera is None:
-        grounds = [(own.cropped(*box), R) for own, R in hypotheses]
-    else:
-        _, grounds = hypothesised(seen.segments, seen.size, camera.cropped(*box))
+    _, grounds = hypothesised(seen.segments, seen.size, camera.cropped(*box))
     planes = planes_as_they_came(seen.looks, grounds)
     return _Part(seen, grounds, planes[0].score if planes else 0.0)
 
@@ -136,9 +126,3 @@ def _closer(sight: Sight, share: float) -> Sight:
     """A photo whose presence of sides is told at the scale of such a part of it."""
     picture = pyramid(sight.gray, round(DETECTION_PIXELS / share**2))[0].astype(np.float32)
     return replace(sight, looks=replace(sight.looks, picture=picture))
-
-
-def _rows_in_whole(closer: Sight, camera: Camera, rows: Rows) -> Rows:
-    """Rows that were found in a part of the photo, as the whole photo shows them."""
-    fit, presence = seen_again(closer, camera, rows.paving)
-    return replace(rows, paving=replace(rows.paving, fit=fit, presence=presence))

@@ -59,15 +59,9 @@ def test_small_slabs_are_aligned_by_a_part_of_the_photo(scene: SyntheticScene):
         assert np.ptp(ends[:, 0]) > 0.8 * CAMERA.width
 
 
-def test_so_they_are_without_a_camera():
-    found = autoreg.align(render_paving(SETTS).pixels, None, slab=SETTS.spacing_m)
-    assert angle_up_to_quarter_turns(found.pose.cam_from_ground, SETTS.cam_from_ground) < 1.0
-    assert found.camera.camera.fx == pytest.approx(CAMERA.fx, rel=0.03)
-
-
-def test_rows_without_a_camera_are_refused_for_what_they_do_not_tell():
-    with pytest.raises(Refusal, match="the photo names no camera"):
-        autoreg.align(render_paving(ROWS).pixels, None)
+def test_without_a_camera_no_part_is_believed():
+    with pytest.raises(Refusal):
+        autoreg.align(render_paving(SETTS).pixels, None, slab=SETTS.spacing_m)
 
 
 def test_rows_count_where_half_a_photo_shows_them():
@@ -88,11 +82,21 @@ def test_ground_without_slabs_has_none_in_any_part():
     assert paving_by_part(sight_of(replace(BRICKS, kind="gravel", shift=0.0, jitter_m=0.0)), CAMERA) is None
 
 
-def test_what_vanishes_in_the_whole_photo_is_refused_as_it_was(monkeypatch: pytest.MonkeyPatch):
-    def vanished(*_: object) -> None:
-        raise not_measured(12)
+@pytest.mark.parametrize(
+    ("there", "told"),
+    [
+        (not_measured(12), "one_direction"),
+        (Refusal("camera_contradicted", "these joints are not square"), "camera_contradicted"),
+    ],
+    ids=["vanishes", "is refused"],
+)
+def test_what_a_part_shows_may_be_refused_in_the_whole(
+    there: Refusal, told: str, monkeypatch: pytest.MonkeyPatch
+):
+    def refused(*_: object) -> None:
+        raise there
 
-    monkeypatch.setattr(laying_in_tone, "lay_where", vanished)
+    monkeypatch.setattr(laying_in_tone, "lay_where", refused)
     with pytest.raises(Refusal) as refusal:
         autoreg.align(render_paving(BRICKS).pixels, CAMERA)
-    assert refusal.value.code == "one_direction"
+    assert refusal.value.code == told

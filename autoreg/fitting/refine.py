@@ -25,8 +25,9 @@ from autoreg.solve.solver import CAPACITY, CAUCHY_SIGMAS, MOST_STEPS, solve_join
 
 # Solves per round, each with the scatter that the one before left.
 SOLVES = 2
-# A slab's side is at least this part of the camera's height, and at most as many times it.
-MOST_SIDES = 200.0
+# A slab's side is at least this part of the camera's height, as of setts below a drone, and at most as many
+# times it.
+MOST_SIDES = 1000.0
 # Where what is near must bring the farther joints within reach: how far to look, in camera heights, and the
 # half width of the first search, in slab sides.
 FROM_THE_FEET, WIDE_SEARCH = (2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 9.0, 12.0), 0.15
