@@ -26,10 +26,9 @@ from autoreg.search.hypotheses import hypothesised
 # A part is half as wide and as high as what it is a part of, for which that must have been made smaller by
 # so much at least.
 HALF, SMALLER = 0.5, 1.5
-# Where parts lie, as shares of the room that they leave to the left and above: what is nearest, and halfway.
-PLACES = ((0.5, 1.0), (0.0, 1.0), (1.0, 1.0), (0.5, 0.5), (0.0, 0.5), (1.0, 0.5))
-# So many parts of a size are looked into, those with the clearest joints first.
-MOST_PARTS = 3
+# Where parts lie along the photo's lower edge, as shares of the room that they leave: what is nearest to the
+# camera is below, and roofs, whose tiles look as paving does from above, are not.
+PLACES = (0.5, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ def paving_by_part(sight: Sight, camera: Camera) -> SeenCloser | None:
         parts = [_part_of(sight, box, camera) for box in _boxes(*sight.size, share)]
         promising = sorted((p for p in parts if p.score > PROMISING_NATS), key=lambda part: -part.score)
         closer, rows = _closer(sight, share), list[Rows]()
-        for part in promising[:MOST_PARTS]:
+        for part in promising:
             found = find_promising(part.sight, part.grounds)
             if found is None or found.margin_nats < PLAIN_NATS:
                 continue
@@ -119,7 +118,8 @@ def _boxes(width: int, height: int, share: float) -> Iterator[_Box]:
     size = np.array([width, height])
     part = np.floor(share * size).astype(int)
     for place in PLACES:
-        yield _Box(*np.floor((size - part) * place).astype(int).tolist(), *part.tolist())
+        left, top = np.floor((size - part) * [place, 1.0]).astype(int).tolist()
+        yield _Box(left, top, *part.tolist())
 
 
 def _closer(sight: Sight, share: float) -> Sight:
