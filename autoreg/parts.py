@@ -49,27 +49,31 @@ def paving_by_part(sight: Sight, camera: Camera) -> SeenCloser | None:
         sight: what is seen of the photo.
         camera: its camera. By another one a lattice would suit the part, and not go on beyond it.
     """
+    rows: list[Rows] = []
     for share in _shares(*sight.size):
         parts = [_part_of(sight, box, camera) for box in _boxes(*sight.size, share)]
         promising = sorted((p for p in parts if p.score > PROMISING_NATS), key=lambda part: -part.score)
-        closer, rows = _closer(sight, share), list[Rows]()
+        closer = _closer(sight, share)
         for part in promising:
             found = find_promising(part.sight, part.grounds)
             if found is None or found.margin_nats < PLAIN_NATS:
                 continue
-            if isinstance(found, Rows):
+            if isinstance(found, Paving):
+                lattice = in_whole(closer, camera, found)
+                if lattice is not None:
+                    return SeenCloser(closer, lattice)
+            elif share == HALF:
                 rows.append(found)
-                continue
-            lattice = in_whole(closer, camera, found)
-            if lattice is not None:
-                return SeenCloser(closer, lattice)
-        if rows and share == HALF:
-            plainest = max(rows, key=lambda each: each.margin_nats)
-            fit, presence = seen_again(closer, camera, plainest.paving)
-            if len(presence.p):
-                paving = replace(plainest.paving, fit=fit, presence=presence)
-                return SeenCloser(closer, replace(plainest, paving=paving))
-    return None
+    return _plainest(rows, sight, camera) if rows else None
+
+
+def _plainest(rows: list[Rows], sight: Sight, camera: Camera) -> SeenCloser | None:
+    """The plainest of some rows that halves of a photo show, as the whole shows them."""
+    closer, plainest = _closer(sight, HALF), max(rows, key=lambda each: each.margin_nats)
+    fit, presence = seen_again(closer, camera, plainest.paving)
+    if len(presence.p) == 0:
+        return None
+    return SeenCloser(closer, replace(plainest, paving=replace(plainest.paving, fit=fit, presence=presence)))
 
 
 class _Box(NamedTuple):
