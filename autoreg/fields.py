@@ -18,7 +18,7 @@ from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.geometry import Rigid, rotation_from_vector
 from autoreg.ground.points import inside_convex, lengths, on_ground, project_ground
-from autoreg.ground.sight import Sight, see
+from autoreg.ground.sight import Box, Sight, see
 from autoreg.paving.lattice_evidence import Paving, alike, has_ratio, presented
 from autoreg.paving.lay import refine_in_field
 from autoreg.paving.presence import Presence
@@ -120,12 +120,9 @@ class _Covered:
 
 @dataclass(frozen=True)
 class _Part:
-    """A part of a photo in whole pixels; X and Y of the cam_from_ground rotation `R` run along its joints."""
+    """A part of a photo; X and Y of the cam_from_ground rotation `R` run along its joints."""
 
-    left: int
-    top: int
-    width: int
-    height: int
+    box: Box
     R: Float[np.ndarray, "3 3"]
 
 
@@ -150,8 +147,8 @@ def _part_beside(segments: Segments, camera: Camera, covered: _Covered, least: f
     left, right = _span(ends[beside, :, 0].ravel(), weight, camera.width)
     top, bottom = _span(ends[beside, :, 1].ravel(), weight, camera.height)
     R = pose.R @ rotation_from_vector(np.array([0.0, 0.0, turn]))
-    part = _Part(left, top, right - left, bottom - top, R)
-    return None if min(part.width, part.height) < LEAST_PX else part
+    box = Box(left, top, right - left, bottom - top)
+    return None if min(box.width, box.height) < LEAST_PX else _Part(box, R)
 
 
 def _square(
@@ -194,9 +191,8 @@ def _painted(gray: UInt8[np.ndarray, "h w"], camera: Camera, covered: _Covered) 
 
 def _found_in(sight: Sight, camera: Camera, covered: _Covered, part: _Part) -> Paving | None:
     """The lattice in a part of the photo whose known field is painted over, if there is any."""
-    rows, columns = slice(part.top, part.top + part.height), slice(part.left, part.left + part.width)
-    gray = np.ascontiguousarray(_painted(sight.gray, camera, covered)[rows, columns])
-    return find_on(see(gray), camera.cropped(part.left, part.top, part.width, part.height), part.R)
+    gray = part.box.of(_painted(sight.gray, camera, covered))
+    return find_on(see(gray), camera.cropped(*part.box), part.R)
 
 
 def same_ground(one: Fit, other: Fit) -> bool:

@@ -94,14 +94,14 @@ def _found(task: Task, *, thorough: bool) -> Paving | Rows:
         Refusal: there is none, or none that may not be a wall.
     """
     found = find_paving(task.sight, task.camera, task.slab, thorough=thorough)
-    wall = maybe_wall(_fit_of(found))
+    wall = maybe_wall(found.fit)
     if wall is None and not _like_wall(found):
         return found
     try:
         before = find_paving(task.sight, task.camera, task.slab, walls=False, thorough=thorough)
     except Refusal:
         before = None
-    if before is not None and maybe_wall(_fit_of(before)) is None and _across(found, before):
+    if before is not None and maybe_wall(before.fit) is None and _across(found, before):
         return before
     if wall is not None and not task.ground:
         raise wall
@@ -114,17 +114,13 @@ def _maybe_wall(task: Task, fit: Fit, covariance: Float[np.ndarray, "6 6"] | Non
 
 
 def _like_wall(found: Paving | Rows) -> bool:
-    return like_upright_wall(_fit_of(found).cam_from_ground.R)
+    return like_upright_wall(found.fit.cam_from_ground.R)
 
 
 def _across(wall: Paving | Rows, before: Paving | Rows) -> bool:
     """Whether one lies before the other as ground before a wall, and is none itself."""
-    one, other = (_fit_of(found).cam_from_ground.R[:, 2] for found in (wall, before))
+    one, other = (found.fit.cam_from_ground.R[:, 2] for found in (wall, before))
     return bool(np.arccos(np.clip(one @ other, -1.0, 1.0)) > ACROSS_RAD) and not _like_wall(before)
-
-
-def _fit_of(found: Paving | Rows) -> Fit:
-    return (found.paving if isinstance(found, Rows) else found).fit
 
 
 def _measured(task: Task, found: Paving | Rows) -> Laid:

@@ -123,7 +123,7 @@ def _laid_by_part(task: Task) -> tuple[Task, Laid] | None:
     By a known camera: a part by itself tells a focal length too roughly.
 
     Raises:
-        Refusal: there is some, but it is a wall's or no slabs', or does not tell the focal length.
+        Refusal: there is some, but it is a wall's, or no slabs by this camera.
     """
     seen = None if task.camera is None else paving_by_part(task.sight, task.camera)
     if seen is None:

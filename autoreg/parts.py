@@ -9,16 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from autoreg.camera import Camera
 from autoreg.fields import in_whole, seen_again
-from autoreg.ground.sight import DETECTION_PIXELS, Sight, see
+from autoreg.ground.sight import DETECTION_PIXELS, Box, Sight, see
 from autoreg.image import pyramid
 from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving
-from autoreg.paving.plane_combs import PROMISING_NATS, Hypothesis, planes_as_they_came
+from autoreg.paving.plane_combs import PROMISING_NATS, PlaneCombs, planes_as_they_came
 from autoreg.rows.rows import Rows
 from autoreg.search.find import find_promising
 from autoreg.search.hypotheses import hypothesised
@@ -51,14 +50,12 @@ def paving_by_part(sight: Sight, camera: Camera) -> SeenCloser | None:
     """
     rows: list[Rows] = []
     for share in _shares(*sight.size):
-        parts = [_part_of(sight, box, camera) for box in _boxes(*sight.size, share)]
-        promising = sorted((p for p in parts if p.score > PROMISING_NATS), key=lambda part: -part.score)
-        closer = _closer(sight, share)
-        for part in promising:
-            found = find_promising(part.sight, part.grounds)
+        for part in _promising(sight, camera, share):
+            found = find_promising(part.sight, part.planes)
             if found is None or found.margin_nats < PLAIN_NATS:
                 continue
             if isinstance(found, Paving):
+                closer = _closer(sight, share)
                 lattice = in_whole(closer, camera, found)
                 if lattice is not None:
                     return SeenCloser(closer, lattice)
@@ -76,37 +73,25 @@ def _plainest(rows: list[Rows], sight: Sight, camera: Camera) -> SeenCloser | No
     return SeenCloser(closer, replace(plainest, paving=replace(plainest.paving, fit=fit, presence=presence)))
 
 
-class _Box(NamedTuple):
-    """A part of a photo in whole pixels."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-    def of(self, sight: Sight) -> Sight:
-        """What is seen of the photo in it."""
-        rows, columns = slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
-        return see(np.ascontiguousarray(sight.gray[rows, columns]), toned=sight.toned)
-
-
 @dataclass(frozen=True)
 class _Part:
-    """What is seen of a part of a photo, and the grounds that its segments suggest.
-
-    On one of them the joints are as clear as `score` says.
-    """
+    """What is seen of a part of a photo, and the grounds that its segments suggest, the clearest first."""
 
     sight: Sight
-    grounds: list[Hypothesis]
-    score: float
+    planes: list[PlaneCombs]
 
 
-def _part_of(sight: Sight, box: _Box, camera: Camera) -> _Part:
-    seen = box.of(sight)
+def _promising(sight: Sight, camera: Camera, share: float) -> list[_Part]:
+    """The parts of such a size whose joints are clear at first sight, the clearest first."""
+    parts = [_part_of(sight, box, camera) for box in _boxes(*sight.size, share)]
+    clear = [part for part in parts if part.planes and part.planes[0].score > PROMISING_NATS]
+    return sorted(clear, key=lambda part: -part.planes[0].score)
+
+
+def _part_of(sight: Sight, box: Box, camera: Camera) -> _Part:
+    seen = see(box.of(sight.gray), toned=sight.toned)
     _, grounds = hypothesised(seen.segments, seen.size, camera.cropped(*box))
-    planes = planes_as_they_came(seen.looks, grounds)
-    return _Part(seen, grounds, planes[0].score if planes else 0.0)
+    return _Part(seen, planes_as_they_came(seen.looks, grounds))
 
 
 def _shares(width: int, height: int) -> Iterator[float]:
@@ -117,13 +102,13 @@ def _shares(width: int, height: int) -> Iterator[float]:
         yield share
 
 
-def _boxes(width: int, height: int, share: float) -> Iterator[_Box]:
+def _boxes(width: int, height: int, share: float) -> Iterator[Box]:
     """The parts of such a size."""
     size = np.array([width, height])
     part = np.floor(share * size).astype(int)
     for place in PLACES:
         left, top = np.floor((size - part) * [place, 1.0]).astype(int).tolist()
-        yield _Box(left, top, *part.tolist())
+        yield Box(left, top, *part.tolist())
 
 
 def _closer(sight: Sight, share: float) -> Sight:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -84,6 +85,20 @@ class Sight:
     def segments(self) -> Segments:
         """The segments of all levels, as soon as they are there."""
         return self.detection.all
+
+
+class Box(NamedTuple):
+    """A part of a photo, in whole pixels, in the order in which `Camera.cropped` takes it."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def of(self, gray: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "hb wb"]:
+        """The photo's grey levels in it."""
+        part = gray[self.top : self.top + self.height, self.left : self.left + self.width]
+        return np.ascontiguousarray(part)
 
 
 def see(gray: UInt8[np.ndarray, "h w"], *, toned: bool = False) -> Sight:

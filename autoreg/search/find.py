@@ -18,7 +18,7 @@ from autoreg.ground.upright import LED_RAD, possible_up
 from autoreg.paving.lattice_choice import suited
 from autoreg.paving.lattice_evidence import Paving, rival
 from autoreg.paving.lay import MOST_STARTS, lay_lattice
-from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes
+from autoreg.paving.plane_combs import Hypothesis, PlaneCombs, comb_planes, planes_as_they_came
 from autoreg.rows.rows import Rows
 from autoreg.search.glance import at_a_glance
 from autoreg.search.hypotheses import hypothesised, hypothesised_along_grain, hypothesised_thoroughly
@@ -185,7 +185,8 @@ class _Search:
         self, looks: Looks, hypotheses: list[Hypothesis], most_starts: int
     ) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
         lay = self._lay_by(looks, most_starts)
-        return lay_promising(looks, self.segments, hypotheses, lay, free_focal=self.free.focal)
+        planes = planes_as_they_came(looks, hypotheses)
+        return lay_promising(looks, self.segments, planes, lay, free_focal=self.free.focal)
 
     def _lay_by(self, looks: Looks, most_starts: int) -> Callable[[PlaneCombs], tuple[Paving, ...]]:
         return lambda plane: self.suitable(lay_lattice(looks, plane, self.free, most_starts=most_starts))
@@ -231,18 +232,18 @@ def _found_on(
     return found if found is not None and found.margin_nats > 0 else None, planes
 
 
-def find_promising(sight: Sight, hypotheses: list[Hypothesis]) -> Paving | Rows | None:
-    """The lattice, or else the rows, on those grounds whose joints are clear as they came, if any are.
+def find_promising(sight: Sight, planes: list[PlaneCombs]) -> Paving | Rows | None:
+    """The lattice, or else the rows, on those grounds of a known camera whose joints are clear, if any are.
 
-    For a known camera, or several that a photo may have: the focal length is not solved for.
+    `planes` are the grounds as they came, the clearest first.
     """
     free, looks, segments = Free(ratio=True), sight.looks, sight.segments
-    pavings, planes = lay_promising(
-        looks, segments, hypotheses, lambda plane: lay_lattice(looks, plane, free), free_focal=False
+    pavings, clear = lay_promising(
+        looks, segments, planes, lambda plane: lay_lattice(looks, plane, free), free_focal=False
     )
     if is_there(pavings):
         return pavings[0]
-    return rows_alone(fields_of_rows(looks, segments, sight.size, planes))
+    return rows_alone(fields_of_rows(looks, segments, sight.size, clear))
 
 
 def find_rows(sight: Sight, camera: Camera | None) -> Rows | None:

@@ -64,17 +64,16 @@ def lay_planes(
 def lay_promising(
     looks: Looks,
     segments: Segments,
-    hypotheses: list[Hypothesis],
+    planes: list[PlaneCombs],
     lay: Callable[[PlaneCombs], tuple[Paving, ...]],
     *,
     free_focal: bool,
 ) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
-    """The best lattices on those grounds whose joints are clear as they came, if any are, and the grounds.
+    """The best lattices on those grounds, as they came, whose joints are clear, if any are, and the grounds.
 
     Where lines are told by their strength, most segments may be those of a grain, by which a ground is not
     sharpened but led astray: the clearest one is looked into as it came as well.
     """
-    planes = planes_as_they_came(looks, hypotheses)
     least = STRONG_NATS if looks.fine.strong else PROMISING_NATS
     promising = [plane for plane in planes if plane.score > least][:MOST_PLANES]
     ranked = sharpened(looks, segments, promising, free_focal=free_focal)
