@@ -16,7 +16,7 @@ from autoreg.fitting.fit import Fit
 from autoreg.ground.sight import see
 from autoreg.joint_tone import Tone, clearest_tone
 from autoreg.laying import NOT_THERE, camera_to_blame, lay, lay_where
-from autoreg.parts import paving_by_part
+from autoreg.parts import SeenCloser, lattice_by_part, paving_by_part
 from autoreg.paving.lattice_evidence import SAME_SPACING, alike
 from autoreg.search.find import find_lattice_or_rows_on, find_on
 from autoreg.search.glance import promises
@@ -39,7 +39,7 @@ def lay_in_clearest_tone(task: Task) -> tuple[Task, Laid]:
             that the camera is to blame: what a wrong one hides may look like anything.
     """
     try:
-        seen, laid = task, lay(task)
+        seen, laid = _with_cross_joints(task, lay(task))
     except Refusal as refusal:
         if refusal.code == "slab_mismatch":
             return _of_told_slabs(task, refusal)
@@ -125,7 +125,27 @@ def _laid_by_part(task: Task) -> tuple[Task, Laid] | None:
     Raises:
         Refusal: there is some, but it is a wall's, or no slabs by this camera.
     """
-    seen = None if task.camera is None else paving_by_part(task.sight, task.camera)
+    return None if task.camera is None else _laid_closer(task, paving_by_part(task.sight, task.camera))
+
+
+def _with_cross_joints(task: Task, laid: Laid) -> tuple[Task, Laid]:
+    """Rows, or the lattice that their cross joints make of them where a part of a large photo shows these.
+
+    Raises:
+        Refusal: there is such a lattice, but it is no slabs' by this camera.
+    """
+    if task.camera is None or not _are_rows(laid):
+        return task, laid
+    found = _laid_closer(task, lattice_by_part(task.sight, task.camera, laid.fit.cam_from_ground.R))
+    return (task, laid) if found is None or _are_rows(found[1]) else found
+
+
+def _laid_closer(task: Task, seen: SeenCloser | None) -> tuple[Task, Laid] | None:
+    """The paving that is seen at another scale, and the photo at that; None if it is not there after all.
+
+    Raises:
+        Refusal: it is there, but is a wall's, or no slabs by this camera.
+    """
     if seen is None:
         return None
     closer = replace(task, sight=seen.sight)

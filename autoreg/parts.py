@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from autoreg.camera import Camera
 from autoreg.fields import in_whole, seen_again
@@ -19,7 +20,7 @@ from autoreg.image import pyramid
 from autoreg.paving.lattice_evidence import PLAIN_NATS, Paving
 from autoreg.paving.plane_combs import PROMISING_NATS, PlaneCombs, planes_as_they_came
 from autoreg.rows.rows import Rows
-from autoreg.search.find import find_promising
+from autoreg.search.find import find_promising, plain_on
 from autoreg.search.hypotheses import hypothesised
 
 # A part is half as wide and as high as what it is a part of, for which that must have been made smaller by
@@ -55,13 +56,33 @@ def paving_by_part(sight: Sight, camera: Camera) -> SeenCloser | None:
             if found is None or found.margin_nats < PLAIN_NATS:
                 continue
             if isinstance(found, Paving):
-                closer = _closer(sight, share)
-                lattice = in_whole(closer, camera, found)
+                lattice = _in_whole(sight, camera, found, share)
                 if lattice is not None:
-                    return SeenCloser(closer, lattice)
+                    return lattice
             elif share == HALF:
                 rows.append(found)
     return _plainest(rows, sight, camera) if rows else None
+
+
+def lattice_by_part(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> SeenCloser | None:
+    """The lattice on a known ground, as for `find_on`, that a part of a large photo shows at first sight.
+
+    Of bricks whose cross joints are too short for the whole, rows are all that it shows.
+    """
+    for share in _shares(*sight.size):
+        for box in _boxes(*sight.size, share):
+            found = plain_on(see(box.of(sight.gray), toned=sight.toned), camera.cropped(*box), R)
+            lattice = None if found is None else _in_whole(sight, camera, found, share)
+            if lattice is not None:
+                return lattice
+    return None
+
+
+def _in_whole(sight: Sight, camera: Camera, found: Paving, share: float) -> SeenCloser | None:
+    """A lattice that a part of such a size shows, as the whole does at its scale."""
+    closer = _closer(sight, share)
+    lattice = in_whole(closer, camera, found)
+    return None if lattice is None else SeenCloser(closer, lattice)
 
 
 def _plainest(rows: list[Rows], sight: Sight, camera: Camera) -> SeenCloser | None:

@@ -15,7 +15,7 @@ from autoreg.camera import Camera
 from autoreg.fitting.fit import Fit
 from autoreg.fitting.one_edge import MOST, _as_seen, met_at_one_edge, one_edge, with_both_edges
 from autoreg.fitting.refine import refine
-from autoreg.ground.sides import Grid
+from autoreg.ground.sides import ALONG_X, Grid
 from autoreg.joints.joint_looks import Strip
 from autoreg.slabs.slab_effects import RIM_BELOW
 from autoreg.solve.freedom import Free
@@ -80,6 +80,32 @@ def test_joints_of_which_more_are_missed_when_measured_anew_stay_as_they_were(
     assert max(one_edge(thinner)) < 0.1
     monkeypatch.setattr("autoreg.fitting.one_edge.refine_until_still", lambda *_, **__: thinner)
     assert (with_both_edges(gray_of(photo), along_edges, reach=6.0) is along_edges) == (missing > 0)
+
+
+def test_joints_that_are_mere_steps_when_measured_anew_stay_as_they_were(
+    along_edges: Fit, photo: SyntheticPhoto, monkeypatch: pytest.MonkeyPatch
+):
+    toned, anew = (
+        replace(fit, strip=replace(fit.strip, polarity=polarity))
+        for fit, polarity in (
+            (along_edges, (-1, -1)),
+            (with_both_edges(gray_of(photo), along_edges, reach=6.0), (0, -1)),
+        )
+    )
+    monkeypatch.setattr("autoreg.fitting.one_edge.refine_until_still", lambda *_, **__: anew)
+    assert with_both_edges(gray_of(photo), toned, reach=6.0) is toned
+
+
+def test_what_lies_beside_a_field_does_not_count(stack_fit: Fit):
+    # Faint joints, between slabs that differ by little, and the step of tone where the slabs end.
+    stations, depth = stack_fit.stations, 0.2 * stack_fit.offsets.depth
+    usable = stack_fit.usable & (stations.family == ALONG_X)
+    lines, counts = np.unique(stations.line[usable], return_counts=True)
+    step = np.where(stations.line == lines[counts.argmax()], -120.0, -0.1 * np.abs(depth))
+    bordered = replace(stack_fit, offsets=replace(stack_fit.offsets, step=step, depth=depth))
+    contrast = np.abs(depth) + 0.5 * np.abs(step)
+    assert abs(step[usable].mean()) > MOST * contrast[usable].mean()
+    assert one_edge(bordered)[0] < 0.5 * MOST
 
 
 def test_a_fit_that_met_both_edges_stays(stack_fit: Fit, stack_photo: SyntheticPhoto):

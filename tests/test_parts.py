@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from autoreg.camera import Camera
 from autoreg.errors import Refusal
 from autoreg.ground.sight import Sight, see
 from autoreg.image import as_gray
-from autoreg.parts import paving_by_part
+from autoreg.laying import lay_where
+from autoreg.parts import lattice_by_part, paving_by_part
 from autoreg.rows.rows import Rows
-from autoreg.search.find import find_paving
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
+from autoreg.task import Task
 from benchmarks.suites.robust import angle_up_to_quarter_turns
 
 CAMERA = Camera.from_focal(1600, 1200, 1280.0)
@@ -41,12 +43,15 @@ def sight_of(scene: SyntheticScene) -> Sight:
 
 
 @pytest.mark.parametrize("scene", [BRICKS, ROWS], ids=["bricks", "rows"])
-def test_small_slabs_are_aligned_by_a_part_of_the_photo(scene: SyntheticScene):
-    pixels = render_paving(scene).pixels
+def test_small_slabs_are_aligned_by_a_part_of_the_photo(
+    scene: SyntheticScene, monkeypatch: pytest.MonkeyPatch
+):
+    by_part = Mock(wraps=paving_by_part)
+    monkeypatch.setattr(laying_in_tone, "paving_by_part", by_part)
+    slab = None if scene.kind == "rows" else scene.spacing_m
+    found = autoreg.align(render_paving(scene).pixels, CAMERA, slab=slab)
     # Where all of it is looked at, there is nothing to be found.
-    with pytest.raises(Refusal):
-        find_paving(see(as_gray(pixels)), CAMERA)
-    found = autoreg.align(pixels, CAMERA, slab=None if scene.kind == "rows" else scene.spacing_m)
+    by_part.assert_called_once()
     assert angle_up_to_quarter_turns(found.pose.cam_from_ground, scene.cam_from_ground) < 0.02
     assert found.lattice.kind == ("rows" if scene.kind == "rows" else "running")
     if scene.kind == "lattice":
@@ -80,6 +85,25 @@ def test_ground_without_slabs_has_none_in_any_part():
     assert paving_by_part(sight_of(replace(BRICKS, kind="gravel", shift=0.0, jitter_m=0.0)), CAMERA) is None
 
 
+def test_cross_joints_that_a_part_shows_make_a_lattice_of_rows(monkeypatch: pytest.MonkeyPatch):
+    rows, bricks = sight_of(ROWS), sight_of(BRICKS)
+    seen = paving_by_part(rows, CAMERA)
+    assert seen is not None
+    laid = lay_where(Task(seen.sight, CAMERA, "file"), seen.found)
+    assert laid.fit.grid.spacing_x is None
+
+    # Bricks whose rows alone are found in the whole photo.
+    monkeypatch.setattr(laying_in_tone, "lay", lambda task: laid)
+    _, found = laying_in_tone.lay_in_clearest_tone(Task(bricks, CAMERA, "file"))
+    assert found.fit.grid.shift == pytest.approx(0.5)
+    assert found.fit.grid.spacing_x == pytest.approx(2.0 * found.fit.grid.spacing_y, rel=1e-3)
+
+    # Ashlar has rows in its parts, too.
+    assert lattice_by_part(rows, CAMERA, laid.fit.cam_from_ground.R) is None
+    _, found = laying_in_tone.lay_in_clearest_tone(Task(rows, CAMERA, "file"))
+    assert found is laid
+
+
 @pytest.mark.parametrize(
     ("there", "told"),
     [
@@ -91,10 +115,8 @@ def test_ground_without_slabs_has_none_in_any_part():
 def test_what_a_part_shows_may_be_refused_in_the_whole(
     there: Refusal, told: str, monkeypatch: pytest.MonkeyPatch
 ):
-    def refused(*_: object) -> None:
-        raise there
-
-    monkeypatch.setattr(laying_in_tone, "lay_where", refused)
+    monkeypatch.setattr(laying_in_tone, "lay", Mock(side_effect=Refusal("one_direction", "lines")))
+    monkeypatch.setattr(laying_in_tone, "lay_where", Mock(side_effect=there))
     with pytest.raises(Refusal) as refusal:
         autoreg.align(render_paving(BRICKS).pixels, CAMERA)
     assert refusal.value.code == told

@@ -47,8 +47,9 @@ REACH, REDUCED_PX = 0.35, 200.0
 def one_edge(fit: Fit) -> tuple[float, float]:
     """By how much the two sides of the joints along X, and along Y, differ, as a share of their contrast.
 
-    The less of the mean difference and of what the signs alone leave of it, each between 0 and 1: zero where
-    differences go either way, one where every joint was met at the same edge.
+    The less of the median difference and of what the signs alone leave of it, each between 0 and 1: zero
+    where differences go either way, one where every joint was met at the same edge. Beside the one joint
+    where a field ends there may be anything.
     """
     return _of_family(fit, ALONG_X), _of_family(fit, ALONG_Y)
 
@@ -58,8 +59,8 @@ def _of_family(fit: Fit, family: int) -> float:
     if len(rows) < FEWEST:
         return 0.0
     step, depth = fit.offsets.step[rows], fit.offsets.depth[rows]
-    contrast = float(np.mean(np.abs(depth) + 0.5 * np.abs(step)))
-    return min(abs(float(step.mean())) / max(contrast, 1e-9), abs(float(np.sign(step).mean())))
+    contrast = float(np.median(np.abs(depth) + 0.5 * np.abs(step)))
+    return min(abs(float(np.median(step))) / max(contrast, 1e-9), abs(float(np.sign(step).mean())))
 
 
 def with_both_edges(
@@ -99,8 +100,12 @@ def with_both_edges(
 
 
 def _meets_more(again: Fit, fit: Fit) -> bool:
-    """Whether joints that were measured anew are met at both edges rather than one, and as many of them."""
-    return max(one_edge(again)) < max(one_edge(fit)) and again.missed < fit.missed + MORE_MISSED
+    """Whether joints that were measured anew are met at both edges rather than one, and as many of them.
+
+    Joints that had a tone of their own, and are steps between two slabs' when measured anew, are met at none.
+    """
+    lost = any(now == 0 != then for now, then in zip(again.strip.polarity, fit.strip.polarity, strict=True))
+    return not lost and max(one_edge(again)) < max(one_edge(fit)) and again.missed < fit.missed + MORE_MISSED
 
 
 def met_at_one_edge(picture: Float[np.ndarray, "h w"], fit: Fit) -> float:

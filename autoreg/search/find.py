@@ -211,6 +211,12 @@ def find_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving
     return _found_on(sight, camera, R)[0]
 
 
+def plain_on(sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]) -> Paving | None:
+    """The lattice on a known ground, as for `find_on`, if it is plain to see at the first glance."""
+    found = at_a_glance(sight.looks, sight.segments, [(camera, R)], Free(ratio=True))
+    return found if found is not None and found.plain else None
+
+
 def find_lattice_or_rows_on(
     sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]
 ) -> Paving | Rows | None:
@@ -223,12 +229,12 @@ def _found_on(
     sight: Sight, camera: Camera, R: Float[np.ndarray, "3 3"]
 ) -> tuple[Paving | None, list[PlaneCombs]]:
     """The lattice on a known ground, and the ground as it was looked into, unless a glance showed enough."""
-    free, looks, segments = Free(ratio=True), sight.looks, sight.segments
-    planes: list[PlaneCombs] = []
-    found = at_a_glance(looks, segments, [(camera, R)], free)
-    if found is None or not found.plain:
-        planes = comb_planes(looks, segments, [(camera, R)], free_focal=False)
-        found = next((paving for plane in planes for paving in lay_lattice(looks, plane, free)), None)
+    looks, planes = sight.looks, list[PlaneCombs]()
+    found = plain_on(sight, camera, R)
+    if found is None:
+        planes = comb_planes(looks, sight.segments, [(camera, R)], free_focal=False)
+        laid = (paving for plane in planes for paving in lay_lattice(looks, plane, Free(ratio=True)))
+        found = next(laid, None)
     return found if found is not None and found.margin_nats > 0 else None, planes
 
 

@@ -54,6 +54,7 @@ class Axis:
     values: tuple[float, ...]
     change: Change = lambda scene, value: scene
     spoil: Spoil = lambda photo, value, rng: photo
+    times_as_large: int = 1
 
 
 def _tilted(scene: SyntheticScene, tilt_deg: float) -> SyntheticScene:
@@ -61,6 +62,13 @@ def _tilted(scene: SyntheticScene, tilt_deg: float) -> SyntheticScene:
         pitch_deg=tilt_deg, height_m=1.6, heading_deg=scene.seed * 37.0 % 90, roll_deg=1.0, foot_m=(0.1, 0.2)
     )
     return replace(scene, cam_from_ground=pose)
+
+
+def _from_high(scene: SyntheticScene, side_px: float) -> SyntheticScene:
+    """Bricks, from as high up as makes their short sides so many pixels long amid the picture."""
+    low, bricks = scene.cam_from_ground, replace(scene, spacing_m=(0.2, 0.1), shift=0.5, joint_width_m=0.006)
+    seen_px = scene.camera.fx * min(bricks.spacing_m) * -low.R[2, 2] / low.origin_in_a[2]
+    return replace(bricks, cam_from_ground=replace(low, t=low.t * seen_px / side_px))
 
 
 def _bent(scene: SyntheticScene, k1: float) -> SyntheticScene:
@@ -167,6 +175,7 @@ AXES = (
     Axis("odd bond", "shift", (0.05, 0.1, 0.16, 0.31, 0.45, 0.52), _bond),
     Axis("joint width", "mm", (2, 4, 8, 20, 40, 70), lambda s, v: replace(s, joint_width_m=1e-3 * v)),
     Axis("smear", "px", (0.0, 2.0, 4.0, 8.0, 12.0), spoil=_smeared),
+    Axis("small slabs", "px, in large photos", (40.0, 28.0, 20.0, 14.0, 10.0), _from_high, times_as_large=3),
     Axis("wrong focal length", "%", (0, 1, 3, 10, 20, 30), spoil=_wrong_camera),
 )  # fmt: skip
 
@@ -186,7 +195,7 @@ class Point:
 
 def take(axis: Axis, value: float, seed: int, size: tuple[int, int]) -> Photo:
     """One photo."""
-    width, height = size
+    width, height = (axis.times_as_large * side for side in size)
     plain = SyntheticScene(camera=Camera.from_focal(width, height, 0.875 * width), colour=False, seed=seed)
     scene = axis.change(_tilted(plain, 38.0), value)
     photo = Photo(as_gray(render_paving(scene).pixels), scene, scene.camera)
