@@ -7,6 +7,7 @@ the tones of slabs differ either way.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import cv2
@@ -47,20 +48,31 @@ REACH, REDUCED_PX = 0.35, 200.0
 def one_edge(fit: Fit) -> tuple[float, float]:
     """By how much the two sides of the joints along X, and along Y, differ, as a share of their contrast.
 
-    The less of the median difference and of what the signs alone leave of it, each between 0 and 1: zero
-    where differences go either way, one where every joint was met at the same edge. Beside the one joint
-    where a field ends there may be anything.
+    The less of the mean difference and of what the signs alone leave of it, each between 0 and 1: zero where
+    differences go either way, one where every joint was met at the same edge.
     """
-    return _of_family(fit, ALONG_X), _of_family(fit, ALONG_Y)
+    return _of_family(fit, ALONG_X, np.mean), _of_family(fit, ALONG_Y, np.mean)
 
 
-def _of_family(fit: Fit, family: int) -> float:
+def one_edge_of_most(fit: Fit) -> tuple[float, float]:
+    """The same of the joints of the median difference, if that is less.
+
+    Beside the one joint where a field ends there may be anything, and other joints may be faint.
+    """
+    x, y = (
+        min(mean, _of_family(fit, family, np.median))
+        for family, mean in zip((ALONG_X, ALONG_Y), one_edge(fit), strict=True)
+    )
+    return x, y
+
+
+def _of_family(fit: Fit, family: int, middle: Callable[[Float[np.ndarray, " n"]], np.floating]) -> float:
     rows = np.flatnonzero(fit.usable & (fit.stations.family == family))
     if len(rows) < FEWEST:
         return 0.0
     step, depth = fit.offsets.step[rows], fit.offsets.depth[rows]
-    contrast = float(np.median(np.abs(depth) + 0.5 * np.abs(step)))
-    return min(abs(float(np.median(step))) / max(contrast, 1e-9), abs(float(np.sign(step).mean())))
+    contrast = float(middle(np.abs(depth) + 0.5 * np.abs(step)))
+    return min(abs(float(middle(step))) / max(contrast, 1e-9), abs(float(np.sign(step).mean())))
 
 
 def with_both_edges(
@@ -88,7 +100,7 @@ def with_both_edges(
         if seen is not None and _wider(seen[0], fit):
             fit = as_wide_as(*seen)
     for share in WIDER:
-        met = one_edge(fit)
+        met = one_edge_of_most(fit)
         if max(met) <= MOST:
             break
         x, y = (
@@ -109,12 +121,12 @@ def _meets_more(again: Fit, fit: Fit) -> bool:
 
 
 def met_at_one_edge(picture: Float[np.ndarray, "h w"], fit: Fit) -> float:
-    """By what share of their contrast the sides of joints differ, as `one_edge` has it, that were met at one.
+    """By what share of their contrast the sides of most joints differ, if they were met at one edge.
 
     Zero where profiles that reach far beyond them show joints that are no wider than the fit has them: then
     their rims look otherwise than their slabs, as rounded ones in the sun do.
     """
-    share = max(one_edge(fit))
+    share = max(one_edge_of_most(fit))
     seen = _as_seen(picture, fit) if share > MOST else None
     return share if seen is None or _wider(seen[0], fit) else 0.0
 
