@@ -29,9 +29,6 @@ Became = Literal["success", "refused", "wrong", "told"]
 
 # A success is within so many degrees, and such shares of the short side and of the camera's height.
 TURN_DEG, ON_GROUND, HEIGHT = 0.5, 0.02, 0.02
-# ... at the crossings that are no farther away than so many camera heights. Slabs that are a hundredth of the
-# height long are a few pixels large there, and a share of their sides nothing that anybody sees.
-FAR, FAR_OF_SMALL = 4.0, 1.5
 HALF_BREAKS = 0.5
 
 
@@ -58,7 +55,6 @@ class Axis:
     change: Change = lambda scene, value: scene
     spoil: Spoil = lambda photo, value, rng: photo
     times_as_large: int = 1
-    far: float = FAR
 
 
 def _tilted(scene: SyntheticScene, tilt_deg: float) -> SyntheticScene:
@@ -179,10 +175,7 @@ AXES = (
     Axis("odd bond", "shift", (0.05, 0.1, 0.16, 0.31, 0.45, 0.52), _bond),
     Axis("joint width", "mm", (2, 4, 8, 20, 40, 70), lambda s, v: replace(s, joint_width_m=1e-3 * v)),
     Axis("smear", "px", (0.0, 2.0, 4.0, 8.0, 12.0), spoil=_smeared),
-    Axis(
-        "small slabs", "px, in large photos", (40.0, 28.0, 20.0, 14.0, 10.0), _from_high,
-        times_as_large=3, far=FAR_OF_SMALL,
-    ),
+    Axis("small slabs", "px, in large photos", (40.0, 28.0, 20.0, 14.0, 10.0), _from_high, times_as_large=3),
     Axis("wrong focal length", "%", (0, 1, 3, 10, 20, 30), spoil=_wrong_camera),
 )  # fmt: skip
 
@@ -209,13 +202,13 @@ def take(axis: Axis, value: float, seed: int, size: tuple[int, int]) -> Photo:
     return axis.spoil(photo, value, np.random.default_rng([31, seed]))
 
 
-def judge(photo: Photo, far: float = FAR) -> Became:
+def judge(photo: Photo) -> Became:
     """What `align` makes of it; "told" where a wrong answer comes with the word that the camera is wrong."""
     try:
         found = align(photo.gray, photo.told, slab=photo.scene.spacing_m)
     except Refusal:
         return "refused"
-    if within(found, photo.scene, far):
+    if within(found, photo.scene):
         return "success"
     return "told" if found.camera.consistent is False else "wrong"
 
@@ -224,11 +217,11 @@ def _became(asked: tuple[str, float, int, tuple[int, int]]) -> Became:
     # The axes' functions have no names to send them by.
     name, value, seed, size = asked
     axis = next(axis for axis in AXES if axis.name == name)
-    return judge(take(axis, value, seed, size), axis.far)
+    return judge(take(axis, value, seed, size))
 
 
-def within(found: Alignment, scene: SyntheticScene, far: float = FAR) -> bool:
-    """Whether an alignment is the true one up to the lattice's symmetry, at crossings `far` heights away."""
+def within(found: Alignment, scene: SyntheticScene) -> bool:
+    """Whether an alignment is the true one up to the lattice's symmetry."""
     pose, true = found.pose.cam_from_ground, scene.cam_from_ground
     a, b = found.lattice.spacing_x, found.lattice.spacing_y
     if a is None or angle_up_to_quarter_turns(pose, true) > TURN_DEG:
@@ -237,7 +230,7 @@ def within(found: Alignment, scene: SyntheticScene, far: float = FAR) -> bool:
         return False
     # The pixels in which the true crossings are seen, on the found ground as the told camera has it, and the
     # found crossings nearest to them.
-    points = crossings_of(scene, heights=far)
+    points = crossings_of(scene, heights=4.0)
     ground = on_ground(project_ground(scene.camera, true, points), found.camera.camera, pose)
     row = np.round(ground[:, 1] / b)
     moved = row * (found.lattice.shift or 0.0)
@@ -279,8 +272,7 @@ def run(options: Options) -> Result:
         about=(
             f"The whole `align` with camera and slab, {seeds} photos of {size[0]} x {size[1]} for "
             f"each value. A success "
-            f"is within {TURN_DEG}°, {100 * ON_GROUND:g} % of a side at the crossings (up to {FAR:g} camera "
-            f"heights away, of small slabs in large photos {FAR_OF_SMALL:g}), and "
+            f"is within {TURN_DEG}°, {100 * ON_GROUND:g} % of a side at the crossings, and "
             f"{100 * HEIGHT:g} % of the "
             "camera's height; wrong is aligned beyond that without the word that the camera is wrong."
         ),
