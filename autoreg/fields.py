@@ -48,7 +48,8 @@ SAME_GROUND_RAD = np.radians(2.0)
 ALIKE = 0.2
 # All the sides of a field, so that its extent is told.
 WHOLE = Effort(sides=6000)
-# Of a field that is painted over, so much of a slab's shorter side is left at the rim.
+# Of a field that is painted over, so much of a slab's shorter side is left at the rim: its outermost joint
+# may be that of slabs beside it.
 RIM = 0.75
 # Steps along each side of a field's outline, which a lens bends, and what paint is mixed from: a picture of
 # this share of the size, over this share of its longer side.
@@ -69,13 +70,16 @@ def largest_field(
         slab: sides of a slab in either order, if known.
     """
     suits = _suits(found, slab)
-    covered, part = _Covered.by(found, found.presence), None
+    pose = found.fit.cam_from_ground
+    covered, part = _Covered(pose, found.presence.field), None
     least = BESIDE if suits else BESIDE_UNSUITED
     if _part_beside(sight.segments, camera, covered, least) is not None:
         # There may be edges beside what was looked at of the field, and none beside all of it.
-        covered = _Covered.by(found, presence_of(sight.looks.picture, found.fit, WHOLE))
+        covered = _Covered(pose, presence_of(sight.looks.picture, found.fit, WHOLE).field)
         part = _part_beside(sight.segments, camera, covered, least)
-    other = None if part is None else _found_in(sight, camera, covered, part)
+    if part is None:
+        return found
+    other = _found_in(sight, camera, covered.less(RIM * min(found.grid.slab_size)), part)
     if other is None or alike(found, other, ALIKE):
         return found
     whole = in_whole(sight, camera, other)
@@ -97,26 +101,15 @@ def _suits(paving: Paving, slab: tuple[float, float] | None) -> bool:
 
 @dataclass(frozen=True)
 class _Covered:
-    """A part of the ground that is known to be paved, a convex polygon in the frame of a pose.
-
-    `rim` is how far inside it its slabs' own joints end for certain: the outermost may be those of slabs
-    beside it.
-    """
+    """A part of the ground that is known to be paved, a convex polygon in the frame of a pose."""
 
     cam_from_ground: Rigid
     field: Float[np.ndarray, "k 2"]
-    rim: float
 
-    @classmethod
-    def by(cls, paving: Paving, presence: Presence) -> _Covered:
-        """The field of a lattice as it is present."""
-        return cls(paving.fit.cam_from_ground, presence.field, RIM * min(paving.grid.slab_size))
-
-    @property
-    def inner(self) -> _Covered:
-        """The same without its rim."""
+    def less(self, rim: float) -> _Covered:
+        """The same without a rim of such a width along the axes."""
         middle = 0.5 * (self.field.min(0) + self.field.max(0))
-        left = np.maximum(0.0, 1.0 - 2.0 * self.rim / np.ptp(self.field, axis=0))
+        left = np.maximum(0.0, 1.0 - 2.0 * rim / np.ptp(self.field, axis=0))
         return replace(self, field=middle + left * (self.field - middle))
 
     def holds(self, px: Float[np.ndarray, "n 2"], camera: Camera) -> Bool[np.ndarray, " n"]:
@@ -200,7 +193,7 @@ def _span(at: Float[np.ndarray, " n"], weight: Float[np.ndarray, " n"], limit: i
 
 def _painted(gray: UInt8[np.ndarray, "h w"], camera: Camera, covered: _Covered) -> UInt8[np.ndarray, "h w"]:
     """The photo with its known field in a tone like that of what lies around it."""
-    left = 1.0 - covered.inner.shown(camera).astype(np.float32)
+    left = 1.0 - covered.shown(camera).astype(np.float32)
     small, share = (
         cv2.resize(each, None, fx=PAINT_SCALE, fy=PAINT_SCALE, interpolation=cv2.INTER_AREA)
         for each in (gray * left, left)
@@ -243,4 +236,4 @@ def seen_again(sight: Sight, camera: Camera, other: Paving) -> tuple[Fit, Presen
 
 def _area_px(fit: Fit, field: Float[np.ndarray, "k 2"]) -> int:
     """How much of the picture a field fills: of two, a person takes that for the larger which does more."""
-    return cv2.countNonZero(_Covered(fit.cam_from_ground, field, 0.0).shown(fit.camera))
+    return cv2.countNonZero(_Covered(fit.cam_from_ground, field).shown(fit.camera))

@@ -242,14 +242,14 @@ def grating(x: float, y: float, *, both: bool = True) -> list[tuple[float, float
 def test_what_lies_beside_a_field_is_looked_at_if_it_may_be_another(
     pieces: list[tuple[float, float, float, float]], least: float, seen: bool
 ) -> None:
-    covered = fields._Covered(LEVEL, FIELD, 0.0)
+    covered = fields._Covered(LEVEL, FIELD)
     inside = grating(-0.9, 2.5)
     part = fields._part_beside(on_the_ground(*inside, *pieces), CAMERA, covered, least)
     assert (part is not None) == seen
 
 
 def test_a_field_is_painted_over_in_the_tone_around_it() -> None:
-    covered = fields._Covered(LEVEL, FIELD, 0.1)
+    covered = fields._Covered(LEVEL, FIELD)
     gray = np.full((CAMERA.height, CAMERA.width), 120, np.uint8)
     stripes = gray.copy()
     centre = project_ground(CAMERA, LEVEL, FIELD.mean(0)[None])[0].round().astype(int)
@@ -261,7 +261,7 @@ def test_a_field_is_painted_over_in_the_tone_around_it() -> None:
 
 
 def test_the_rim_of_a_field_is_left_for_what_lies_beside_it() -> None:
-    covered = fields._Covered(LEVEL, FIELD, 0.1)
+    covered = fields._Covered(LEVEL, FIELD).less(0.1)
     gray = np.full((CAMERA.height, CAMERA.width), 120, np.uint8)
     near, far = FIELD.min(0)[1], FIELD.max(0)[1]
     across = float(FIELD[:, 0].mean())

@@ -55,7 +55,7 @@ def one_edge(fit: Fit) -> tuple[float, float]:
 
 
 def one_edge_of_most(fit: Fit) -> tuple[float, float]:
-    """The same of the joints of the median difference, if that is less.
+    """The same, by the median difference and contrast where these tell less than the mean ones.
 
     Beside the one joint where a field ends there may be anything, and other joints may be faint.
     """

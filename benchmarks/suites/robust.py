@@ -175,7 +175,10 @@ AXES = (
     Axis("odd bond", "shift", (0.05, 0.1, 0.16, 0.31, 0.45, 0.52), _bond),
     Axis("joint width", "mm", (2, 4, 8, 20, 40, 70), lambda s, v: replace(s, joint_width_m=1e-3 * v)),
     Axis("smear", "px", (0.0, 2.0, 4.0, 8.0, 12.0), spoil=_smeared),
-    Axis("small slabs", "px, in large photos", (40.0, 28.0, 20.0, 14.0, 10.0), _from_high, times_as_large=3),
+    Axis(
+        "small slabs", "px, in photos three times as large", (40.0, 28.0, 20.0, 14.0, 10.0),
+        _from_high, times_as_large=3,
+    ),
     Axis("wrong focal length", "%", (0, 1, 3, 10, 20, 30), spoil=_wrong_camera),
 )  # fmt: skip
 
