@@ -16,7 +16,7 @@ from autoreg.errors import Refusal
 from autoreg.ground.sight import Sight, see
 from autoreg.image import as_gray
 from autoreg.laying import lay_where
-from autoreg.parts import lattice_by_part, paving_by_part
+from autoreg.parts import SeenCloser, paving_by_part
 from autoreg.rows.rows import Rows
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from autoreg.task import Task
@@ -42,24 +42,42 @@ def sight_of(scene: SyntheticScene) -> Sight:
     return see(as_gray(render_paving(scene).pixels))
 
 
-@pytest.mark.parametrize("scene", [BRICKS, ROWS], ids=["bricks", "rows"])
-def test_small_slabs_are_aligned_by_a_part_of_the_photo(
-    scene: SyntheticScene, monkeypatch: pytest.MonkeyPatch
-):
+@pytest.fixture(scope="module")
+def bricks_by_part() -> SeenCloser:
+    return seen_in_part(BRICKS)
+
+
+@pytest.fixture(scope="module")
+def rows_by_part() -> SeenCloser:
+    return seen_in_part(ROWS)
+
+
+def seen_in_part(scene: SyntheticScene) -> SeenCloser:
+    seen = paving_by_part(sight_of(scene), CAMERA)
+    assert seen is not None
+    return seen
+
+
+def test_small_slabs_are_aligned_by_a_part_of_the_photo(monkeypatch: pytest.MonkeyPatch):
     by_part = Mock(wraps=paving_by_part)
     monkeypatch.setattr(laying_in_tone, "paving_by_part", by_part)
-    slab = None if scene.kind == "rows" else scene.spacing_m
-    found = autoreg.align(render_paving(scene).pixels, CAMERA, slab=slab)
+    found = autoreg.align(render_paving(BRICKS).pixels, CAMERA, slab=BRICKS.spacing_m)
     # Where all of it is looked at, there is nothing to be found.
     by_part.assert_called_once()
-    assert angle_up_to_quarter_turns(found.pose.cam_from_ground, scene.cam_from_ground) < 0.02
-    assert found.lattice.kind == ("rows" if scene.kind == "rows" else "running")
-    if scene.kind == "lattice":
-        height = found.pose.cam_from_ground.origin_in_a[2]
-        assert height == pytest.approx(6.0, rel=5e-4)
-        # The joints of the whole photo carry the fit, not those of the part alone.
-        ends = np.concatenate([joint.ends_px for joint in found.joints])
-        assert np.ptp(ends[:, 0]) > 0.8 * CAMERA.width
+    assert angle_up_to_quarter_turns(found.pose.cam_from_ground, BRICKS.cam_from_ground) < 0.02
+    assert found.lattice.kind == "running"
+    assert found.pose.cam_from_ground.origin_in_a[2] == pytest.approx(6.0, rel=5e-4)
+    # The joints of the whole photo carry the fit, not those of the part alone.
+    ends = np.concatenate([joint.ends_px for joint in found.joints])
+    assert np.ptp(ends[:, 0]) > 0.8 * CAMERA.width
+
+
+def test_rows_that_a_part_shows_are_aligned(rows_by_part: SeenCloser, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(laying_in_tone, "lay", Mock(side_effect=Refusal("no_lattice", "nothing")))
+    monkeypatch.setattr(laying_in_tone, "paving_by_part", lambda *_: rows_by_part)
+    found = autoreg.align(render_paving(ROWS).pixels, CAMERA)
+    assert found.lattice.kind == "rows"
+    assert angle_up_to_quarter_turns(found.pose.cam_from_ground, ROWS.cam_from_ground) < 0.02
 
 
 def test_without_a_camera_no_part_is_believed():
@@ -67,13 +85,11 @@ def test_without_a_camera_no_part_is_believed():
         autoreg.align(render_paving(SETTS).pixels, None, slab=SETTS.spacing_m)
 
 
-def test_rows_count_where_half_a_photo_shows_them():
-    seen = paving_by_part(sight_of(ROWS), CAMERA)
-    assert seen is not None
-    assert isinstance(seen.found, Rows)
+def test_rows_count_where_half_a_photo_shows_them(rows_by_part: SeenCloser):
+    assert isinstance(rows_by_part.found, Rows)
     # At the scale of half the photo, which is four times as many pixels as all of it is looked at with.
-    assert seen.sight.looks.picture.size == CAMERA.width * CAMERA.height
-    assert seen.found.fit.camera.width == CAMERA.width
+    assert rows_by_part.sight.looks.picture.size == CAMERA.width * CAMERA.height
+    assert rows_by_part.found.fit.camera.width == CAMERA.width
 
 
 def test_a_photo_that_is_hardly_made_smaller_has_no_parts():
@@ -85,11 +101,11 @@ def test_ground_without_slabs_has_none_in_any_part():
     assert paving_by_part(sight_of(replace(BRICKS, kind="gravel", shift=0.0, jitter_m=0.0)), CAMERA) is None
 
 
-def test_cross_joints_that_a_part_shows_make_a_lattice_of_rows(monkeypatch: pytest.MonkeyPatch):
+def test_cross_joints_that_a_part_shows_make_a_lattice_of_rows(
+    rows_by_part: SeenCloser, monkeypatch: pytest.MonkeyPatch
+):
     rows, bricks = sight_of(ROWS), sight_of(BRICKS)
-    seen = paving_by_part(rows, CAMERA)
-    assert seen is not None
-    laid = lay_where(Task(seen.sight, CAMERA, "file"), seen.found)
+    laid = lay_where(Task(rows_by_part.sight, CAMERA, "file"), rows_by_part.found)
     assert laid.fit.grid.spacing_x is None
 
     # Bricks whose rows alone are found in the whole photo.
@@ -99,7 +115,6 @@ def test_cross_joints_that_a_part_shows_make_a_lattice_of_rows(monkeypatch: pyte
     assert found.fit.grid.spacing_x == pytest.approx(2.0 * found.fit.grid.spacing_y, rel=1e-3)
 
     # Ashlar has rows in its parts, too.
-    assert lattice_by_part(rows, CAMERA, laid.fit.cam_from_ground.R) is None
     _, found = laying_in_tone.lay_in_clearest_tone(Task(rows, CAMERA, "file"))
     assert found is laid
 
@@ -113,9 +128,10 @@ def test_cross_joints_that_a_part_shows_make_a_lattice_of_rows(monkeypatch: pyte
     ids=["vanishes", "is refused"],
 )
 def test_what_a_part_shows_may_be_refused_in_the_whole(
-    there: Refusal, told: str, monkeypatch: pytest.MonkeyPatch
+    there: Refusal, told: str, bricks_by_part: SeenCloser, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(laying_in_tone, "lay", Mock(side_effect=Refusal("one_direction", "lines")))
+    monkeypatch.setattr(laying_in_tone, "paving_by_part", lambda *_: bricks_by_part)
     monkeypatch.setattr(laying_in_tone, "lay_where", Mock(side_effect=there))
     with pytest.raises(Refusal) as refusal:
         autoreg.align(render_paving(BRICKS).pixels, CAMERA)

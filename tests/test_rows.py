@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -180,6 +180,19 @@ def test_rows_whose_cross_joints_may_be_chance_are_refused_as_one_direction(
     assert refusal.limit == pytest.approx(FALSE_ALARM_NATS, abs=0.01)
 
 
+@pytest.fixture
+def no_lattice_is_found(monkeypatch: pytest.MonkeyPatch):
+    """As if lattices had been looked for on the clearest grounds, which takes long, in vain."""
+
+    def clearest(search: Any, best: tuple[Paving, ...]) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
+        free = search.free.focal
+        return best, comb_planes(search.looks, search.segments, search.hypotheses, free_focal=free)[:2]
+
+    monkeypatch.setattr("autoreg.search.glance.lay_combs", lambda *_: None)
+    monkeypatch.setattr("autoreg.search.find._Search.clearest", clearest)
+
+
+@pytest.mark.usefixtures("no_lattice_is_found")
 def test_no_ground_is_turned_about_rows_whose_cross_joints_are_plain(monkeypatch: pytest.MonkeyPatch):
     def turned_about(*_: object, **__: object) -> list[Hypothesis]:
         raise AssertionError
@@ -191,6 +204,7 @@ def test_no_ground_is_turned_about_rows_whose_cross_joints_are_plain(monkeypatch
     assert isinstance(find_paving(see(seen_from_the_camera(ashlar(0.3))), CAMERA), Rows)
 
 
+@pytest.mark.usefixtures("no_lattice_is_found")
 def test_no_lattice_is_looked_for_elsewhere_where_rows_are_plain(monkeypatch: pytest.MonkeyPatch):
     def elsewhere(*_: object, **__: object) -> tuple[tuple[Paving, ...], list[PlaneCombs]]:
         raise AssertionError

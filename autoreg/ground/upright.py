@@ -19,8 +19,11 @@ ASLANT_RAD, UPRIGHT_RAD = np.radians(8.0), np.radians(15.0)
 # Hands hold cameras level to so much.
 LEVEL_RAD = np.radians(6.0)
 
+# What is told of each plane, or of the only one.
+Told = Bool[np.ndarray, "*k"] | np.bool_
 
-def possible_up(up: Float[np.ndarray, "*k 3"], spare_rad: float = 0.0) -> Bool[np.ndarray, "*k"]:
+
+def possible_up(up: Float[np.ndarray, "*k 3"], spare_rad: float = 0.0) -> Told:
     """Whether the normal of a ground, pointing to the camera's side, has a roll that cameras have.
 
     Or would have it but for `spare_rad`, by which either limit is wider.
@@ -34,7 +37,7 @@ def upside_down(up: Float[np.ndarray, "*k 3"]) -> Bool[np.ndarray, "*k"]:
     return np.where(steep, up[..., 2] > 0, up[..., 1] > 0)
 
 
-def hardly_rolled(up: Float[np.ndarray, "*k 3"], spare_rad: float = 0.0) -> Bool[np.ndarray, "*k"]:
+def hardly_rolled(up: Float[np.ndarray, "*k 3"], spare_rad: float = 0.0) -> Told:
     """Whether the normal of a ground points up in the picture, as that of an upright camera's does."""
     return np.abs(up[..., 0]) < np.tan(MAX_ROLL_RAD + spare_rad) * -up[..., 1]
 
