@@ -143,7 +143,7 @@ def _by_exif(task: Task, focal_px: float) -> Alignment:
 def _concluded(task: Task, laid: Laid) -> Alignment:
     """The answer in the canonical frame and in metres."""
     fit, settled, squared, source = laid.fit, laid.settled, laid.squared, task.source
-    field = settled.presence.field
+    field = laid.field
     # A camera that comes from the joints themselves is nothing that they could contradict.
     told_by, asked = (laid.likeliest.fit, None) if source == "photo" else (fit, task.picture)
     check = check_camera(told_by, asked, field, laid.likeliest.scatter)
@@ -188,7 +188,7 @@ def _concluded(task: Task, laid: Laid) -> Alignment:
         ),
         pose=answer,
         scale_source=scale_source,
-        lattice=describe_lattice(fit, settled.presence, frame, scale),
+        lattice=describe_lattice(fit, field, frame, scale),
         residual=measure_residual(fit),
         joints=fitted_joints(fit, frame),
         warnings=(

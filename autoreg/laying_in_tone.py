@@ -85,7 +85,7 @@ def _against_camera(task: Task, laid: Laid) -> Refusal | None:
     """The refusal of a calibrated camera that the joints of a lattice contradict, as the told slab does."""
     if task.calibrated is None or task.slab is None or _are_rows(laid):
         return None
-    check = check_camera(laid.fit, task.picture, laid.settled.presence.field, laid.likeliest.scatter)
+    check = check_camera(laid.fit, task.picture, laid.field, laid.likeliest.scatter)
     return None if check.consistent else contradicted_with_slab(laid.fit, task.slab, check.focal_px)
 
 

@@ -116,8 +116,8 @@ def lattice_kind(grid: Grid) -> LatticeKind:
     return "running" if grid.shift else "stack"
 
 
-def describe_lattice(fit: Fit, presence: Presence, frame: Frame, scale: float) -> Lattice:
-    """The lattice in the chosen frame and in metres."""
+def describe_lattice(fit: Fit, field: Float[np.ndarray, "k 2"], frame: Frame, scale: float) -> Lattice:
+    """The lattice in the chosen frame and in metres; its field is in the fit's frame."""
     grid = frame.grid(fit.grid)
     widths = np.array(fit.strip.width)
     counts = np.array([(fit.stations.family[fit.usable] == f).sum() for f in (ALONG_X, ALONG_Y)])
@@ -127,7 +127,7 @@ def describe_lattice(fit: Fit, presence: Presence, frame: Frame, scale: float) -
         spacing_y=scale * grid.spacing_y,
         shift=None if grid.spacing_x is None else grid.shift % 1.0,
         joint_width=scale * float((widths * counts).sum() / max(counts.sum(), 1)),
-        extent=scale * frame.points(presence.field),
+        extent=scale * frame.points(field),
     )
 
 

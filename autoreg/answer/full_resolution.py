@@ -35,6 +35,7 @@ from autoreg.fitting.refine import FROM_THE_FEET, WIDE_SEARCH, refine, refine_un
 from autoreg.ground.sides import ALONG_X, ALONG_Y
 from autoreg.ground.sight import Sight
 from autoreg.paving.corrections import by_measured_shifts
+from autoreg.paving.far_field import farther_field
 from autoreg.paving.inner_joints import inner_share
 from autoreg.paving.lattice_choice import of_joints_alone
 from autoreg.paving.lattice_evidence import Paving, has_ratio, line_evidence, presented
@@ -75,14 +76,16 @@ WIDEST_LINE_PX = 6.0
 class Laid:
     """Paving, measured at the photo's own resolution, and the presence of its sides at detection scale.
 
-    `likeliest` is the fit at the pose that its joints' places make likeliest. Rows have a crossing to start
-    their frame from, without a camera one at which they are square, and `longer` says whether their slabs are
-    longer than a row is wide, if these tell.
+    `likeliest` is the fit at the pose that its joints' places make likeliest, `field` the convex part of the
+    ground in which they were measured. Rows have a crossing to start their frame from, without a camera one
+    at which they are square, and `longer` says whether their slabs are longer than a row is wide, if these
+    tell.
     """
 
     fit: Fit
     settled: Paving
     likeliest: Settled
+    field: np.ndarray
     crossing: np.ndarray | None = None
     squared: Squared | None = None
     longer: bool | None = None
@@ -98,8 +101,8 @@ def measured_rows(
     Raises:
         Refusal: they cannot be measured, are arcs, or tell the focal length too little.
     """
-    fit, crossing = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA)), found.crossing
-    field = found.paving.presence.field
+    field, crossing = found.paving.presence.field, found.crossing
+    fit = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA), field)
     change = change_of_lean(sight.segments, fit, field)
     ruled = straight(directions(sight.segments, fit, field)[:1])
     turn = None if ruled else turn_of_rows(sight.segments, fit, field)
@@ -114,7 +117,7 @@ def measured_rows(
     settled = _settled_rows(small, _at_detection_scale(fit, small, found.paving), found)
     rests = likeliest(picture, fit) if squared is None else squared.settled
     longer = longer_than_wide(slab_lengths(sight.segments, fit, settled.presence.field))
-    return Laid(fit, settled, rests, crossing, squared, longer)
+    return Laid(fit, settled, rests, settled.presence.field, crossing, squared, longer)
 
 
 def measured_slabs(
@@ -128,7 +131,8 @@ def measured_slabs(
     """
     small = sight.looks.picture
     start = found if slab is None else of_slab_shape(small, found, slab, free)
-    fit = from_what_shows(_measure(picture, start, free))
+    fit, farther = _measured_whole(picture, start, free)
+    fit = from_what_shows(fit)
     fit = on_slabs_level(fit) if sight.toned else fit
     field = found.presence.field
     bowed = _bowed(sight.segments, fit, field) or _turned(sight.segments, fit, field)
@@ -153,7 +157,7 @@ def measured_slabs(
     full = filled(inner_share(sight.segments, fit, settled.presence.field))
     if full is not None:
         raise full
-    return Laid(fit, settled, likeliest(picture, fit))
+    return Laid(fit, settled, likeliest(picture, fit), settled.presence.field if farther is None else farther)
 
 
 def from_what_shows(fit: Fit) -> Fit:
@@ -210,7 +214,22 @@ def _square(
     return squared
 
 
-def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
+def _measured_whole(picture: np.ndarray, paving: Paving, free: Free) -> tuple[Fit, np.ndarray | None]:
+    """The fit of a lattice at the photo's own resolution, and how far it goes on if that is clearly farther.
+
+    Raises:
+        Refusal: its joints cannot be measured there.
+    """
+    field = paving.presence.field
+    fit = _measure(picture, paving, free, field)
+    farther = farther_field(picture, fit, field, len(paving.presence.p))
+    if farther is None:
+        return fit, None
+    again = _measure(picture, replace(paving, fit=fit), free, farther)
+    return (again, farther) if again.missed < MOST_MISSED else (fit, None)
+
+
+def _measure(picture: np.ndarray, paving: Paving, free: Free, field: np.ndarray) -> Fit:
     """The fit of a lattice found at detection scale, repeated at the photo's own resolution.
 
     Raises:
@@ -218,7 +237,6 @@ def _measure(picture: np.ndarray, paving: Paving, free: Free) -> Fit:
     """
     coarse = paving.fit
     height, width = picture.shape
-    field = paving.presence.field
 
     def measured(near: Fit) -> Fit:
         # Where one family shows no joints of its own, they may have been too thin at detection scale.
