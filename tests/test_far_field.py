@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 
-from autoreg.answer.full_resolution import Laid, measured_slabs
+from autoreg.answer.full_resolution import Laid, measured_rows, measured_slabs
 from autoreg.camera import Camera
 from autoreg.geometry import Rigid
 from autoreg.ground.points import inside_convex, lengths, project_ground
@@ -18,7 +20,7 @@ from autoreg.image import as_gray
 from autoreg.joints.joint_looks import Strip
 from autoreg.paving.far_field import farther_field
 from autoreg.paving.lattice_evidence import Paving
-from autoreg.search.find import find_paving
+from autoreg.search.find import find_paving, find_rows
 from autoreg.solve.freedom import Free
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from benchmarks.suites.robust import angle_up_to_quarter_turns
@@ -84,23 +86,44 @@ def test_a_field_that_is_known_whole_is_left(gray: np.ndarray, known: np.ndarray
     assert farther_field(gray.astype(np.float32), Lattice(), known, looked_at) is None
 
 
+def reach_of(laid: Laid) -> float:
+    """How far off joints were measured, in camera heights."""
+    pose = laid.fit.cam_from_ground
+    away = lengths(laid.fit.stations.ground - pose.origin_in_a[:2])
+    return float(np.quantile(away, 0.95) / pose.origin_in_a[2])
+
+
+def doubt_of(laid: Laid) -> float:
+    """The volume of what is not known of the turn."""
+    return float(np.sqrt(np.linalg.det(laid.likeliest.covariance[:3, :3])))
+
+
+def check_that_farther_is_surer(laid: Callable[[], Laid], monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = laid()
+    monkeypatch.setattr("autoreg.answer.full_resolution.farther_field", lambda *_: None)
+    near = laid()
+    assert reach_of(whole) > 1.2 * reach_of(near)
+    assert doubt_of(whole) < 0.6 * doubt_of(near)
+    assert np.ptp(whole.field, axis=0).prod() > 1.2 * np.ptp(near.field, axis=0).prod()
+    assert angle_up_to_quarter_turns(whole.likeliest.fit.cam_from_ground, SCENE.cam_from_ground) < 0.003
+
+
 def test_slabs_that_detection_scale_does_not_show_make_the_pose_surer(
     gray: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ):
     sight, picture = see(gray), gray.astype(np.float32)
     found = find_paving(sight, SCENE.camera)
     assert isinstance(found, Paving)
+    check_that_farther_is_surer(
+        lambda: measured_slabs(sight, picture, found, Free(ratio=True), None), monkeypatch
+    )
 
-    def laid() -> tuple[Laid, float, float]:
-        laid = measured_slabs(sight, picture, found, Free(ratio=True), None)
-        away = lengths(laid.fit.stations.ground - laid.fit.cam_from_ground.origin_in_a[:2])
-        far = float(np.quantile(away, 0.95) / laid.fit.cam_from_ground.origin_in_a[2])
-        return laid, far, float(np.sqrt(np.linalg.det(laid.likeliest.covariance[:3, :3])))
 
-    whole, far, volume = laid()
-    monkeypatch.setattr("autoreg.answer.full_resolution.farther_field", lambda *_: None)
-    near, less_far, larger_volume = laid()
-    assert far > 1.3 * less_far
-    assert volume < 0.5 * larger_volume
-    assert np.ptp(whole.field, axis=0).prod() > 1.3 * np.ptp(near.field, axis=0).prod()
-    assert angle_up_to_quarter_turns(whole.likeliest.fit.cam_from_ground, SCENE.cam_from_ground) < 0.003
+def test_rows_that_detection_scale_does_not_show_make_the_pose_surer(monkeypatch: pytest.MonkeyPatch):
+    gray = as_gray(render_paving(replace(SCENE, kind="rows", spacing_m=(0.4, 0.2), jitter_m=0.0)).pixels)
+    sight, picture = see(gray), gray.astype(np.float32)
+    found = find_rows(sight, SCENE.camera)
+    assert found is not None
+    check_that_farther_is_surer(
+        lambda: measured_rows(sight, picture, found, Free(), square=False, ground=False), monkeypatch
+    )

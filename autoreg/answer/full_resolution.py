@@ -102,7 +102,7 @@ def measured_rows(
         Refusal: they cannot be measured, are arcs, or tell the focal length too little.
     """
     field, crossing = found.paving.presence.field, found.crossing
-    fit = _measure(picture, found.paving, Free(step_sigma=STEP_SIGMA), field)
+    fit, farther = _measured_whole(picture, found.paving, Free(step_sigma=STEP_SIGMA))
     change = change_of_lean(sight.segments, fit, field)
     ruled = straight(directions(sight.segments, fit, field)[:1])
     turn = None if ruled else turn_of_rows(sight.segments, fit, field)
@@ -117,7 +117,7 @@ def measured_rows(
     settled = _settled_rows(small, _at_detection_scale(fit, small, found.paving), found)
     rests = likeliest(picture, fit) if squared is None else squared.settled
     longer = longer_than_wide(slab_lengths(sight.segments, fit, settled.presence.field))
-    return Laid(fit, settled, rests, settled.presence.field, crossing, squared, longer)
+    return Laid(fit, settled, rests, _field(settled, farther), crossing, squared, longer)
 
 
 def measured_slabs(
@@ -157,7 +157,12 @@ def measured_slabs(
     full = filled(inner_share(sight.segments, fit, settled.presence.field))
     if full is not None:
         raise full
-    return Laid(fit, settled, likeliest(picture, fit), settled.presence.field if farther is None else farther)
+    return Laid(fit, settled, likeliest(picture, fit), _field(settled, farther))
+
+
+def _field(settled: Paving, farther: np.ndarray | None) -> np.ndarray:
+    """Where joints were measured: as far as they were followed, or else where detection scale shows them."""
+    return settled.presence.field if farther is None else farther
 
 
 def from_what_shows(fit: Fit) -> Fit:
