@@ -132,7 +132,7 @@ def test_a_bond_has_its_name(grid: Grid, kind: str):
 def test_the_lattice_is_described_in_metres(half_fit: Fit, half_photo: SyntheticPhoto):
     presence = presence_in(half_photo, half_fit)
     frame = canonical_frame(half_fit, presence, None)
-    lattice = describe_lattice(half_fit, presence, frame, 2.0)
+    lattice = describe_lattice(half_fit, presence.field, frame, 2.0)
     assert (lattice.kind, lattice.shift) == ("running", 0.5)
     assert (lattice.spacing_x, lattice.spacing_y) == pytest.approx((1.2, 0.6))
     assert lattice.joint_width == pytest.approx(2.0 * HALF_BOND.joint_width_m, rel=0.35)
