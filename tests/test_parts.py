@@ -16,7 +16,7 @@ from autoreg.errors import Refusal
 from autoreg.ground.sight import Sight, see
 from autoreg.image import as_gray
 from autoreg.laying import lay_where
-from autoreg.parts import SeenCloser, paving_by_part
+from autoreg.parts import SeenCloser, lattice_by_part, paving_by_part
 from autoreg.rows.rows import Rows
 from autoreg.synthetic import SyntheticScene, look_at_ground, render_paving
 from autoreg.task import Task
@@ -74,8 +74,10 @@ def test_small_slabs_are_aligned_by_a_part_of_the_photo(monkeypatch: pytest.Monk
 
 def test_rows_that_a_part_shows_are_aligned(rows_by_part: SeenCloser, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(laying_in_tone, "lay", Mock(side_effect=Refusal("no_lattice", "nothing")))
-    monkeypatch.setattr(laying_in_tone, "paving_by_part", lambda *_: rows_by_part)
+    by_part = Mock(return_value=rows_by_part)
+    monkeypatch.setattr(laying_in_tone, "paving_by_part", by_part)
     found = autoreg.align(render_paving(ROWS).pixels, CAMERA)
+    by_part.assert_called_once()
     assert found.lattice.kind == "rows"
     assert angle_up_to_quarter_turns(found.pose.cam_from_ground, ROWS.cam_from_ground) < 0.02
 
@@ -115,6 +117,7 @@ def test_cross_joints_that_a_part_shows_make_a_lattice_of_rows(
     assert found.fit.grid.spacing_x == pytest.approx(2.0 * found.fit.grid.spacing_y, rel=1e-3)
 
     # Ashlar has rows in its parts, too.
+    assert lattice_by_part(rows, CAMERA, laid.fit.cam_from_ground.R) is None
     _, found = laying_in_tone.lay_in_clearest_tone(Task(rows, CAMERA, "file"))
     assert found is laid
 

@@ -23,7 +23,7 @@ NARROW = 0.04
 # part of what is usual are none.
 FAINT = 0.1
 # The most sides that are looked at, the largest ones in the picture: a known field is measured all over.
-MOST_SIDES, MOST_IN_FIELD = 6_000, 20_000
+MOST_IN_VIEW, MOST_IN_FIELD = 6_000, 20_000
 # What stations keep off the ends of their side, as a share of it: at least so much, and so much more than the
 # width of the joint that crosses there, of which half lies within the side, and more where it is seen aslant.
 LEAST_MARGIN, BESIDE_CROSSING = 0.1, 0.05
@@ -79,7 +79,7 @@ def measure(
         field: where on the ground the paving is, a convex polygon; everywhere if None.
         limit: the most stations that are measured.
     """
-    most = MOST_SIDES if field is None else MOST_IN_FIELD
+    most = MOST_IN_VIEW if field is None else MOST_IN_FIELD
     sides = visible_sides(camera, pose, grid, reach=reach, field=field, limit=most)
     if len(sides) < 6:
         return None
